@@ -25,6 +25,9 @@ MIN_CONTRAST_SIGMAS = 12.0
 # Rounding to whole counts hides a smaller noise: the variance of a uniform step of 1.
 ROUNDING_VARIANCE = 1.0 / 12.0
 HALO_PX = 6  # about a lit area its blur still shines
+# Stripes: seen in strips so wide at two opposite edges, whose correlation must be so high; smeared
+# pictures of 67P have 0.99.
+STRIPE_PX, MIN_ALIKE_STRIPES = 4, 0.95
 
 
 @dataclass(frozen=True)
@@ -168,6 +171,30 @@ def _sizes(labels: Int32Array, count: int) -> tuple[IntArray, IntArray]:
             box[label, 2], box[label, 3] = max(box[label, 2], c), r + 1
     box[:, 2:] -= box[:, :2]
     return area[1:], box[1:]
+
+
+def without_smear(picture: Float32Array, levels: Levels) -> Float32Array | None:
+    """A picture (h, w) without the stripes of a bright body's columns, or rows; None: it has none.
+
+    A sensor without a shutter collects light while it is read, so that a body leaves stripes over
+    all pixels that pass it, stronger on one side than on the other. They are taken for as strong as
+    on the stronger one: the sky beside the body ends dark, the body is darker than it was.
+    """
+    for values in (picture, picture.T):
+        ends = np.median([values[:STRIPE_PX], values[-STRIPE_PX:]], axis=1) - levels.sky
+        weaker = ends.min(axis=0)
+        lit = weaker > levels.threshold - levels.sky
+        if not lit.any() or lit.all() or np.corrcoef(ends)[0, 1] < MIN_ALIKE_STRIPES:
+            continue
+        darkest = np.quantile(values[:, lit], 0.02, axis=0) - levels.sky
+        if np.median(darkest) < 0.5 * np.median(weaker[lit]):
+            continue  # two edges cut lit ground, with sky between
+        strength = cv2.GaussianBlur(ends.max(axis=0)[None], (0, 0), 1.0)
+        # stripes shift by a pixel where the body's edge leans
+        strength = cv2.dilate(strength.astype(np.float32), np.ones((1, 5), np.uint8))
+        left = np.maximum(values - np.maximum(strength, 0.0), min(levels.sky, float(values.min())))
+        return np.ascontiguousarray(left if values is picture else left.T, dtype=np.float32)
+    return None
 
 
 def without_blobs(

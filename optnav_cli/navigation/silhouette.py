@@ -26,7 +26,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.frames.picture import Picture
-from optnav_cli.measurements.segmentation import Levels, Segmented
+from optnav_cli.measurements.segmentation import Levels, Segmented, without_smear
 from optnav_cli.measurements.silhouette import (
     PIECE,
     PIECE_STEP,
@@ -111,8 +111,10 @@ def navigate(
 
     Raises NoSolutionError where the picture does not show the shape, or not as it should look.
     """
-    mesh, levels = _mesh(relief), lit.levels
-    values = np.ascontiguousarray(picture.values, dtype=np.float32)
+    clean = without_smear(lit.picture, lit.levels)
+    if clean is not None:
+        lit = Segmented(clean)
+    mesh, levels, values = _mesh(relief), lit.levels, lit.picture
     mask = _lit_mask(lit)
     position = _by_moments(mask, mesh, view)
     turn = view.camera_from_body

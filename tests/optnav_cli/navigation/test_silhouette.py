@@ -17,7 +17,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Method
 from optnav_cli.frames.picture import Picture
-from optnav_cli.measurements.segmentation import Segmented
+from optnav_cli.measurements.segmentation import Segmented, measure_levels, without_smear
 from optnav_cli.navigation import silhouette
 from optnav_cli.navigation.neighbour import CameraView
 from optnav_cli.navigation.outline.one_body import solve
@@ -102,6 +102,28 @@ def test_a_bilobed_body_is_solved_without_a_prior_position(off_deg, sigma_deg) -
     # with the attitude known a pixel sees 25 m
     if sigma_deg == 0.0:
         assert np.linalg.norm(off - POSITION * (off @ POSITION) / distance**2) < 25.0
+
+
+@pytest.mark.parametrize("along", ["columns", "rows"])
+def test_stripes_of_a_sensor_without_a_shutter_are_taken_out(along) -> None:
+    """Overexposed, and smeared a third as strongly on one side of the body as on the other."""
+    values = np.minimum(2.0 * picture().values, 255.0)
+    lines = values if along == "columns" else values.T
+    brightest = lines.max(axis=0)
+    side = np.where(np.arange(SIDE) < SIDE // 2, 0.3, 0.1)
+    striped = np.minimum(lines + side[:, None] * brightest, 255.0).astype(np.float32)
+    shown = Picture(striped if along == "columns" else striped.T, 255.0)
+    fix = solved((0.15, -0.2, 0.1), 0.2, shown=shown)
+    off = fix.position_m - POSITION
+    assert off @ np.linalg.solve(fix.covariance_m2, off) < 16.0
+
+
+def test_a_body_that_two_edges_cut_is_no_smear() -> None:
+    values = picture().values
+    rows = np.flatnonzero((values > 30.0).any(axis=1))
+    cut = values[rows[0] + 40 : rows[-1] - 40]
+    assert without_smear(np.ascontiguousarray(cut), measure_levels(cut)) is None
+    assert without_smear(values, measure_levels(values)) is None
 
 
 @pytest.mark.parametrize("wrong", ["mirrored", "turned", "lit from elsewhere"])
