@@ -181,10 +181,13 @@ def without_smear(picture: Float32Array, levels: Levels) -> Float32Array | None:
     on the stronger one: the sky beside the body ends dark, the body is darker than it was.
     """
     for values in (picture, picture.T):
-        ends = np.median([values[:STRIPE_PX], values[-STRIPE_PX:]], axis=1) - levels.sky
+        strips = np.stack([values[:STRIPE_PX], values[-STRIPE_PX:]])
+        ends = np.asarray(np.median(strips, axis=1), np.float32) - np.float32(levels.sky)
         weaker = ends.min(axis=0)
         lit = weaker > levels.threshold - levels.sky
-        if not lit.any() or lit.all() or np.corrcoef(ends)[0, 1] < MIN_ALIKE_STRIPES:
+        if not lit.any() or lit.all() or not ends.std(axis=1).all():
+            continue
+        if np.corrcoef(ends)[0, 1] < MIN_ALIKE_STRIPES:
             continue
         darkest = np.quantile(values[:, lit], 0.02, axis=0) - levels.sky
         if np.median(darkest) < 0.5 * np.median(weaker[lit]):

@@ -124,6 +124,10 @@ def test_a_body_that_two_edges_cut_is_no_smear() -> None:
     cut = values[rows[0] + 40 : rows[-1] - 40]
     assert without_smear(np.ascontiguousarray(cut), measure_levels(cut)) is None
     assert without_smear(values, measure_levels(values)) is None
+    lit_end = values.copy()
+    lit_end[-4:] = 200.0
+    lit_end[:4, :40] = 200.0
+    assert without_smear(lit_end, measure_levels(lit_end)) is None
 
 
 @pytest.mark.parametrize("wrong", ["mirrored", "turned", "lit from elsewhere"])
