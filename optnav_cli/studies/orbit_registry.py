@@ -65,4 +65,26 @@ ORBIT_STUDIES = (
         "--anomalies 1",
         (option("--anomalies", click.IntRange(1, 4), 4, "Of Phobos in its orbit."),),
     ),
+    Study(
+        "zenith",
+        "Orbits through zenith distances of stars: the tables of the source and what they rest on.",
+        """Fit orbits of a lunar constellation through zenith distances of stars with drawn errors.
+
+        Tables 2 to 4 and figures 2 to 5 of the source beside ours; then the same truth with a bias
+        of the vertical, fixed errors of stars, a small field, no sunlight, and a vertical from the
+        limb. Takes five minutes; --revolutions 3 --trials 3 gives a first look.""",
+        "--craft 1.5 --revolutions 3 --trials 3",
+        (
+            option(
+                "--craft",
+                click.Choice([f"{plane}.{place}" for plane in (1, 2, 3) for place in range(1, 7)]),
+                "1.5",
+                "Of forecasts and curves.",
+            ),
+            option("--revolutions", click.IntRange(1, 100), 35, "Of tables 2 and 3."),
+            trials(2, 20, "Fits of the other rows."),
+            seed("Of errors."),
+        ),
+        draws=True,
+    ),
 )

@@ -104,7 +104,7 @@ class ZenithFigures:
     seconds: float
 
 
-class _Study:
+class ZenithTrials:
     """Flights and fits, each with its own draw."""
 
     def __init__(self, craft: str, revolutions: int, trials: int, seed: int) -> None:
@@ -136,7 +136,7 @@ def run(
     seed: int = 1,
 ) -> ZenithFigures:
     """All tables. craft: of cycles and curves; revolutions: each fitted by itself, of each row."""
-    study = _Study(craft, revolutions, trials, seed)
+    study = ZenithTrials(craft, revolutions, trials, seed)
     with progress.stage("study zenith", 7, "table") as bar:
         found = []
         for part in (_numbers, _crafts, _cycles, _curves, _rests, _limbs):
@@ -153,7 +153,7 @@ def _sizes(fits: Sequence[JudgedFit]) -> FloatArray:
     return np.array([one.sizes for one in fits])
 
 
-def _numbers(study: _Study) -> list[tuple[Cell, ...]]:
+def _numbers(study: ZenithTrials) -> list[tuple[Cell, ...]]:
     flight, rows = ZenithFlight(FIRST_CRAFT, study.revolutions + 0.1), []
     for count, (mean, sigma, largest) in TABLE_2.items():
         fits = [study.fit(flight, k, count) for k in range(study.revolutions)]
@@ -169,7 +169,7 @@ def _numbers(study: _Study) -> list[tuple[Cell, ...]]:
     return rows
 
 
-def _crafts(study: _Study) -> list[tuple[Cell, ...]]:
+def _crafts(study: ZenithTrials) -> list[tuple[Cell, ...]]:
     rows = []
     for craft, (place, speed, height) in TABLE_3.items():
         flight = ZenithFlight(craft, study.revolutions + 0.1)
@@ -186,7 +186,7 @@ def _crafts(study: _Study) -> list[tuple[Cell, ...]]:
     return rows
 
 
-def _cycles(study: _Study) -> list[tuple[Cell, ...]]:
+def _cycles(study: ZenithTrials) -> list[tuple[Cell, ...]]:
     """Errors of forecasts, each after a revolution of sights of another draw."""
     flight = ZenithFlight(study.craft, study.trials + AHEAD + 1.1)
     steps = flight.period_s / FORECAST_ROWS * np.arange(1.0, FORECAST_ROWS * AHEAD + 1.0)
@@ -206,7 +206,7 @@ def _cycles(study: _Study) -> list[tuple[Cell, ...]]:
     return rows
 
 
-def _curves(study: _Study) -> list[tuple[Cell, ...]]:
+def _curves(study: ZenithTrials) -> list[tuple[Cell, ...]]:
     flight = ZenithFlight(study.craft, study.trials + 0.1)
     cases = [
         (f"catalogue, drawn anew each time, sensor {0.1:g}″", size, np.hypot(0.1, size))
@@ -222,7 +222,7 @@ def _curves(study: _Study) -> list[tuple[Cell, ...]]:
     return rows
 
 
-def _rests(study: _Study) -> list[tuple[Cell, ...]]:
+def _rests(study: ZenithTrials) -> list[tuple[Cell, ...]]:
     """The same truth with what the table does not have."""
     flight = ZenithFlight(study.craft, study.trials + AHEAD + 1.1)
     bias, stars = SightErrors(bias_arcsec=BIAS_ARCSEC), SightErrors(stars_arcsec=STARS_ARCSEC)
@@ -265,7 +265,7 @@ def _rests(study: _Study) -> list[tuple[Cell, ...]]:
     return rows
 
 
-def _limbs(study: _Study) -> list[tuple[Cell, ...]]:
+def _limbs(study: ZenithTrials) -> list[tuple[Cell, ...]]:
     """Orbits of a vertical from the limb, by drawn errors of the vertical."""
     flight = ZenithFlight(study.craft, study.trials + LIMB_REVOLUTIONS + 0.1)
     rows: list[tuple[Cell, ...]] = []
@@ -290,7 +290,7 @@ def _limbs(study: _Study) -> list[tuple[Cell, ...]]:
     return rows
 
 
-def _speed(study: _Study) -> float:
+def _speed(study: ZenithTrials) -> float:
     """Processor seconds of a fit of 3 revolutions x 500 sights without a prior, degree 8."""
     flight = ZenithFlight(FIRST_CRAFT, 3.1)
     rng = np.random.default_rng(1)
