@@ -185,7 +185,7 @@ def without_smear(picture: Float32Array, levels: Levels) -> Float32Array | None:
         ends = np.asarray(np.median(strips, axis=1), np.float32) - np.float32(levels.sky)
         weaker = ends.min(axis=0)
         lit = weaker > levels.threshold - levels.sky
-        if not lit.any() or lit.all() or not ends.std(axis=1).all():
+        if not lit.any() or lit.all() or not np.ptp(ends, axis=1).all():
             continue
         if np.corrcoef(ends)[0, 1] < MIN_ALIKE_STRIPES:
             continue
