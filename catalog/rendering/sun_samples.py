@@ -63,21 +63,23 @@ def sun_samples(
         raise ValueError("sun_samples: at least one elevation and an even number of azimuths")
     top = min(highest, 0.98 * highest_sun(lat, max_declination))
     bottom = min(lowest, 0.25 * top)
-    out = np.empty((elevations * azimuths, 3))
-    half = azimuths // 2
-    for i, elevation in enumerate(np.linspace(bottom, top, elevations)):
-        band = azimuth_band(lat, float(elevation), max_declination)
+    heights = np.linspace(bottom, top, elevations)
+    bands = []
+    for elevation in heights.tolist():
+        band = azimuth_band(lat, elevation, max_declination)
         if band is None:
             raise ValueError(
                 f"sun_samples: the Sun never stands {math.degrees(elevation):.1f} deg high at "
                 f"latitude {math.degrees(lat):.1f}; ask for an elevation that occurs"
             )
-        # the middles of equal parts: at a pole the two sides do not meet in one azimuth
-        parts = (np.arange(half) + 0.5) / half
-        east = band[0] + (band[1] - band[0]) * parts
-        azimuth = np.concatenate([east, 2.0 * np.pi - east[::-1]])
-        row = slice(i * azimuths, (i + 1) * azimuths)
-        out[row, 0] = np.cos(elevation) * np.sin(azimuth)
-        out[row, 1] = np.cos(elevation) * np.cos(azimuth)
-        out[row, 2] = np.sin(elevation)
-    return out
+        bands.append(band)
+    first, last = np.array(bands).T[:, :, None]
+    half = azimuths // 2
+    # the middles of equal parts: at a pole the two sides do not meet in one azimuth
+    east = first + (last - first) * ((np.arange(half) + 0.5) / half)
+    azimuth = np.concatenate([east, 2.0 * np.pi - east[:, ::-1]], axis=1)
+    out = np.empty((elevations, azimuths, 3))
+    across = np.cos(heights)[:, None]
+    out[..., 0], out[..., 1] = across * np.sin(azimuth), across * np.cos(azimuth)
+    out[..., 2] = np.sin(heights)[:, None]
+    return out.reshape(-1, 3)
