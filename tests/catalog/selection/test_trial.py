@@ -10,6 +10,7 @@ from catalog.selection.trial import (
     Gate,
     Level,
     Search,
+    _noise,
     distortion,
     draw_circumstances,
     exposed,
@@ -200,3 +201,14 @@ def test_the_part_of_the_truth_under_a_picture_gives_the_same_picture():
         # warpAffine rounds its coordinates: a count here and there
         np.testing.assert_allclose(part, whole, atol=1.0)
         assert (part == whole).mean() > 0.95
+
+
+def test_noise_of_trials_is_white_and_their_own():
+    """Of unit variance, without likeness of neighbours or trials; the same for a seed."""
+    one, two, again = (_noise(80, np.random.default_rng(seed)) for seed in (1, 2, 1))
+    np.testing.assert_array_equal(one, again)
+    many = np.array([_noise(80, np.random.default_rng(seed)) for seed in range(40)])
+    assert abs(many.mean()) < 0.02
+    assert many.std() == pytest.approx(1.0, abs=0.02)
+    for pair in ((one, two), (one[1:], one[:-1]), (one[:, 1:], one[:, :-1])):
+        assert abs(np.corrcoef(*map(np.ravel, pair))[0, 1]) < 0.05
