@@ -242,22 +242,29 @@ class DescentFilter:
         return pixels, spread
 
     def update(
-        self, camera: ProjectingCamera, stated: Pose, numbers: IndexArray, seen: Sightings
+        self,
+        camera: ProjectingCamera,
+        stated: Pose,
+        numbers: IndexArray,
+        seen: Sightings,
+        shared_px: FloatArray | None = None,
     ) -> Update:
         """Update by all sightings of a frame at once; what contradicts the others is left out.
 
-        numbers  (n,) of the ground points seen; the places in `seen` are not read
+        numbers    (n,) of the ground points seen; the places in `seen` are not read
+        shared_px  (n, 2, m) what m errors that sightings have in common move them by, at 1 sigma
         Raises NoSolutionError for a point that leaves the view, or for sightings none of which
         agrees with the state; the state is then as it was.
         """
         used = np.ones(len(numbers), dtype=bool)
+        shared = np.zeros((len(numbers), 2, 0)) if shared_px is None else shared_px
         for _ in range(len(numbers) + 1):
             kept = np.flatnonzero(used)
             if kept.size == 0:
                 text = "no window or landmark agrees with the inertial track"
                 raise NoSolutionError(text, ReasonCode.POINTS_DISAGREE)
             state, covariance, squares = self._updated(
-                camera, stated, numbers[kept], seen.subset(kept)
+                camera, stated, numbers[kept], seen.subset(kept), shared[kept]
             )
             wide = squares > GATE
             if not wide.any():
@@ -271,7 +278,12 @@ class DescentFilter:
         return Update(used, seen.pixels - pixels, all_squares)
 
     def _updated(
-        self, camera: ProjectingCamera, stated: Pose, numbers: IndexArray, seen: Sightings
+        self,
+        camera: ProjectingCamera,
+        stated: Pose,
+        numbers: IndexArray,
+        seen: Sightings,
+        shared_px: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """State, covariance, and the squared normalised residuals (n,) of an update."""
         prior, noise = self.state, self._errors.attitude_noise_rad
@@ -288,6 +300,8 @@ class DescentFilter:
             cross = rows.times(self.covariance).T  # (state, 2 n)
             turns = by_pose[:, :, 3:].reshape(-1, 3)
             own = noise**2 * turns @ turns.T
+            alike = shared_px.reshape(2 * len(numbers), -1)
+            own += alike @ alike.T
             for k, covariance in enumerate(seen.covariances_px2):
                 own[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += covariance
             total = rows.times(cross) + own

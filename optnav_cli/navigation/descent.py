@@ -35,6 +35,7 @@ from optnav_cli.navigation.descent_rows import match_rows
 from optnav_cli.navigation.descent_state import (
     JointState,
     Sighting,
+    WindowSpread,
     track_sigmas,
     window_ground,
 )
@@ -61,6 +62,8 @@ MIN_AGAINST = 6
 # No craft turns its velocity faster than by so many m/s^2; a track that does so jumps.
 MAX_ACCELERATION, MIN_JUMP_M = 20.0, 50.0
 PRIOR_SOURCE = "inertial track"
+# An update is repeated when its windows raise the scale of their errors by more than this.
+MIN_GROWTH = 1.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +82,7 @@ class DescentMemory:
     state, covariance, nominal_m  of the joint filter
     keys       of its points: a landmark's number, or a window's level, side, row and column
     roots_m    (3, 3) of the windows' errors
+    spread     of the windows
     solved     whether any frame was
     last_s, last_m, velocity  time, place and velocity of the track as it was last stated
     """
@@ -88,6 +92,7 @@ class DescentMemory:
     nominal_m: FloatArray
     keys: list[list[int]]
     roots_m: list[FloatArray]
+    spread: WindowSpread
     landmarks: list[Landmark]
     solved: bool
     last_s: float | None
@@ -161,15 +166,16 @@ class DescentNavigator:
         arrays = joint.state, joint.covariance, joint.nominal_m
         landmarks = [one if not one.reason else one.without_patch() for one in self._tracks.all]
         last_s, last_m = self._last or (None, None)
+        windows = keys, own.roots_m, own.spread
         return DescentMemory(
-            *arrays, keys, own.roots_m, landmarks, self._solved, last_s, last_m, self._velocity
+            *arrays, *windows, landmarks, self._solved, last_s, last_m, self._velocity
         )
 
     def restore(self, memory: DescentMemory) -> None:
         """Go on as the descent that gave this memory."""
         self._state.filter.restore(memory.state, memory.covariance, memory.nominal_m)
         keys = [WindowKey(*key) if len(key) > 1 else key[0] for key in memory.keys]
-        self._state.restore(keys, memory.roots_m)
+        self._state.restore(keys, memory.roots_m, memory.spread)
         self._tracks.all = list(memory.landmarks)
         self._solved, self._velocity = memory.solved, memory.velocity
         if memory.last_s is not None and memory.last_m is not None:
@@ -388,16 +394,41 @@ def _joined(
     found: Sequence[SoughtWindow],
     landmarks: Sequence[SoughtLandmark],
 ) -> _Updated:
-    """A copy of a state updated by windows and landmarks; windows that do not agree leave it."""
-    state = state.copy()
+    """A copy of a state updated by windows and landmarks; windows that do not agree leave it.
+
+    Once more from before them where the new windows show that the model is worse than was known.
+    """
     by_position = np.zeros((0, 2, 3))
     if found:
         places = np.array([one.window.place_m for one in found])
         by_position = predict(frame.camera, state.filter.pose(stated), places)[1][:, :, :3]
+    seen = _sightings(state, frame, found, by_position, landmarks)
     new = [k for k, one in enumerate(found) if one.window.key not in state.keys]
-    if new:
-        grounds = [window_ground(found[k].window, found[k].match, by_position[k]) for k in new]
-        state.join_windows([ground.error(state.sizes) for ground in grounds], places[new])
+    grounds = [window_ground(found[k].window, found[k].match, by_position[k]) for k in new]
+    places_m = np.array([found[k].window.place_m for k in new]).reshape(-1, 3)
+    scale = state.spread.scale
+    while True:
+        joined = state.copy()
+        if new:
+            joined.join_windows([each.error(state.sizes, scale) for each in grounds], places_m)
+        update = joined.update(frame.camera, stated, seen)
+        joined.spread = state.spread.with_windows(update.squares[new], scale)
+        if joined.spread.scale <= MIN_GROWTH * scale or scale > state.spread.scale:
+            break
+        scale = joined.spread.scale
+    kept = {one.key: bool(good) for one, good in zip(seen, update.used, strict=True)}
+    joined.keep({key for key in joined.keys if isinstance(key, int) or kept.get(key, False)})
+    return _Updated(joined, kept)
+
+
+def _sightings(
+    state: JointState,
+    frame: FrameContext,
+    found: Sequence[SoughtWindow],
+    by_position: FloatArray,
+    landmarks: Sequence[SoughtLandmark],
+) -> list[Sighting]:
+    """What an update takes: all windows in their order, then the landmarks."""
     seen: list[Sighting] = []
     for one, rows in zip(found, by_position, strict=True):
         if one.match.pixel is not None:
@@ -410,7 +441,4 @@ def _joined(
         if match.pixel is not None and match.covariance_px2 is not None:
             own = fresh + match.covariance_px2
             seen.append(Sighting(track.landmark.number, match.pixel, own))
-    used = state.update(frame.camera, stated, seen).used
-    kept = {one.key: bool(good) for one, good in zip(seen, used, strict=True)}
-    state.keep({key for key in state.keys if isinstance(key, int) or kept.get(key, False)})
-    return _Updated(state, kept)
+    return seen

@@ -5,6 +5,7 @@ all ground of a descent has in common, by the low Sun. So two windows err alike 
 ground, and one that joins the state is tied to those that are in it; else many windows of the same
 ground would count as so many measurements. The common part is a point of the state itself, COMMON:
 it stays when its windows have left. The sizes are fitted numbers, in FILE (`optnav study fit`).
+How far a model is wrong besides is learned from its windows as they join: `WindowSpread`.
 """
 
 from collections.abc import Sequence
@@ -21,14 +22,17 @@ from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.geometry.rotations import ARCSEC
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.descent_filter import DescentFilter, TrackErrors, Update
-from optnav_cli.estimation.models.points import Pose, Sightings
+from optnav_cli.estimation.descent_filter import GATE, DescentFilter, TrackErrors, Update
+from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.matching.point_match import PointMatch
 from optnav_cli.navigation.descent_windows import OVERSAMPLED, SIDE, Window, WindowKey, overlap
 
 MIN_SUN = np.radians(8.0)  # below it shadows fill the picture and the cotangent runs away
 FILE = "configs/models/descent.toml"
+# Degrees of freedom that stand for the sizes being right, and how far from it a model may be. One
+# window that is matched wrongly counts for no more than the gate of the filter lets pass.
+SIZES_DEGREES, MAX_SCALE, MAX_SQUARE = 20.0, 6.0, GATE
 # No window: what all windows have in common, in units of their own sigmas.
 COMMON = WindowKey(-1, 0, 0, 0)
 Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
@@ -46,6 +50,7 @@ class DescentErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     fresh_px: Positive
     fresh_share: Share
     landmark_px: Positive
+    landmark_shift: Positive
     landmark_height_postings: Positive
 
 
@@ -86,11 +91,12 @@ class WindowGround:
     slope: float
     left_m2: float
 
-    def error(self, sizes: DescentErrorSizes) -> WindowError:
-        """Its error by some sizes."""
+    def error(self, sizes: DescentErrorSizes, scale: float = 1.0) -> WindowError:
+        """Its error by some sizes; scale multiplies the level variance, see `WindowSpread`."""
         own = sizes.own_postings * SIDE / self.key.side, sizes.slope_postings * self.slope
         own_m = float(np.hypot(*own)) * self.posting_m
-        level = float(np.sqrt(own_m**2 + sizes.remainder * self.left_m2))
+        variance = own_m**2 + sizes.remainder * self.left_m2
+        level = float(np.sqrt(scale * variance))
         sigmas = np.array([level, level, sizes.height_postings * self.posting_m])
         return WindowError(self.key, self.axes * sigmas @ self.axes.T)
 
@@ -112,6 +118,32 @@ def window_ground(window: Window, match: PointMatch, by_position: FloatArray) ->
         down, across = np.gradient(heights, posting / OVERSAMPLED)
         slope = float(np.sqrt(np.nanmean(down**2 + across**2)))
     return WindowGround(window.key, axes, posting, slope, 0.5 * float(np.trace(left)))
+
+
+@dataclass(frozen=True)
+class WindowSpread:
+    """How far windows are off, over what the sizes say: the variance of unit weight of a descent.
+
+    A model may be worse than those that the sizes were fitted with, and nobody says so. Its
+    windows then contradict each other, and the track, by more than they should.
+
+    squares  sum of the squares of windows that joined, in units of their errors by the sizes
+    count    of these windows, each with two degrees of freedom
+    """
+
+    squares: float = 0.0
+    count: int = 0
+
+    @property
+    def scale(self) -> float:
+        """What the variance of a window's place is multiplied by: 1 or more."""
+        found = (SIZES_DEGREES + self.squares) / (SIZES_DEGREES + 2.0 * self.count)
+        return float(np.clip(found, 1.0, MAX_SCALE))
+
+    def with_windows(self, squares: FloatArray, scale: float) -> "WindowSpread":
+        """With more windows (n,), whose squares were taken with a scale."""
+        added = scale * float(np.minimum(squares, MAX_SQUARE).sum())
+        return WindowSpread(self.squares + added, self.count + len(squares))
 
 
 def tied_errors(
@@ -153,6 +185,7 @@ class JointState:
     def __init__(self, errors: TrackErrors, sizes: DescentErrorSizes | None = None) -> None:
         self.filter = DescentFilter(errors)
         self.sizes = sizes or shipped_sizes()
+        self.spread = WindowSpread()
         self.keys: list[WindowKey | int] = [COMMON]
         self._errors = {COMMON: WindowError(COMMON, np.eye(3))}
         self.filter.add_points(np.zeros((1, 3)), np.eye(3))
@@ -160,7 +193,7 @@ class JointState:
     def copy(self) -> "JointState":
         """The same, to try an update on."""
         other = object.__new__(JointState)
-        other.filter, other.sizes = self.filter.copy(), self.sizes
+        other.filter, other.sizes, other.spread = self.filter.copy(), self.sizes, self.spread
         other.keys, other._errors = list(self.keys), dict(self._errors)
         return other
 
@@ -178,8 +211,14 @@ class JointState:
         """(3, 3) of the errors of the windows in the state, and of COMMON, in the order of keys."""
         return [self._errors[key].root_m for key in self.keys if isinstance(key, WindowKey)]
 
-    def restore(self, keys: Sequence[WindowKey | int], roots_m: Sequence[FloatArray]) -> None:
+    def restore(
+        self,
+        keys: Sequence[WindowKey | int],
+        roots_m: Sequence[FloatArray],
+        spread: WindowSpread,
+    ) -> None:
         """Name the points of a restored filter, those of windows with the roots of their errors."""
+        self.spread = spread
         windows = [key for key in keys if isinstance(key, WindowKey)]
         pairs = zip(windows, roots_m, strict=True)
         self.keys, self._errors = list(keys), {key: WindowError(key, root) for key, root in pairs}
@@ -222,7 +261,14 @@ class JointState:
         pixels = np.array([one.pixel for one in seen])
         covariances = np.array([one.covariance_px2 for one in seen])
         places = self.filter.places_m[numbers]
-        return self.filter.update(camera, stated, numbers, Sightings(places, pixels, covariances))
+        is_landmark = np.array([isinstance(one.key, int) for one in seen])
+        # a shift of the camera moves all of them as what their patches have in common does
+        pose = self.filter.pose(stated)
+        distance = float(np.linalg.norm(places - pose.position_m, axis=1).mean())
+        shared = predict(camera, pose, places)[1][:, :, :3] * is_landmark[:, None, None]
+        shared = np.nan_to_num(self.sizes.landmark_shift * distance * shared)
+        found = Sightings(places, pixels, covariances)
+        return self.filter.update(camera, stated, numbers, found, shared)
 
     def keep(self, kept: set[WindowKey | int]) -> None:
         """Marginalise all ground points but some, and COMMON."""

@@ -29,7 +29,9 @@ SQUARES, MAX_LANDMARKS = 7, 60
 # Missed in so many pictures in a row it is lost.
 MAX_MISSED = 2
 MAX_EMISSION = np.radians(65.0)
-PLANE_M = 0.5  # base of the ground's slope about a landmark, postings of the model
+# Half the base of the ground's slope about a landmark: postings of the model, or half its patch if
+# that is more. A plane of less ground than its patch shows made matches twice as far off.
+PLANE_POSTINGS, PLANE_NODES = 0.5, 0.5 * PATCH_NODES
 LOST = Reason(ReasonCode.LOST, "not found in two pictures in a row")
 OUT_OF_VIEW = Reason(ReasonCode.OUT_OF_VIEW, "left the picture")
 
@@ -182,8 +184,9 @@ class LandmarkTracks:
                 return None
             height = ground
         up = unit(place)
-        normal = self._normal(windows, place)
-        sight = unit(pose.position_m - place)
+        sight, distance = unit(pose.position_m - place), np.linalg.norm(pose.position_m - place)
+        posting = NODE_PX * float(distance) / frame.camera.coarse_focal_px
+        normal = self._normal(windows, place, PLANE_NODES * posting)
         if min(sight @ up, sight @ normal) < np.cos(MAX_EMISSION):
             return None
         patch = cut_patch(frame.picture, frame.camera, pose, place, normal)
@@ -192,11 +195,11 @@ class LandmarkTracks:
         file = frame.observation.file
         return Landmark(0, file, file, patch, normal, place, np.eye(3))
 
-    def _normal(self, windows: WindowField, place: FloatArray) -> FloatArray:
-        """The ground's normal by the model; the radial direction where it ends."""
+    def _normal(self, windows: WindowField, place: FloatArray, half_m: float) -> FloatArray:
+        """The normal of so much ground by the model; the radial direction where it ends."""
         up = unit(place)
         axes = body_from_local(*(float(v) for v in latlon_from_xyz(place)[:2]))
-        base = PLANE_M * windows.posting_m(0)
+        base = max(PLANE_POSTINGS * windows.posting_m(0), half_m)
         slopes = []
         for axis in (axes[:, 0], axes[:, 1]):
             ends = [windows.ground_m(place + sign * base * axis) for sign in (1.0, -1.0)]

@@ -55,7 +55,7 @@ FITTED_WRONG, HELD_WRONG = 4, 3
 SEARCHED_M = 20.0  # 1 sigma of the true position, for the search
 MAX_FACTOR = 8.0
 MAX_SHARE = 0.9
-KEPT = ("landmark_px", "landmark_height_postings")  # no sizes of windows
+KEPT = ("landmark_px", "landmark_shift", "landmark_height_postings")  # no sizes of windows
 SHARES = ("common", "fresh_share")
 BEGINNING = b"# How far a window of the terrain model"
 

@@ -132,3 +132,20 @@ def test_the_joint_state_is_honest_where_independent_landmarks_are_not() -> None
     last = [[each.error_m[-1] for each in runs] for runs in (joint, alone)]
     rms = [float(np.sqrt(np.mean(np.square(ends)))) for ends in last]
     assert rms[0] < 0.6 * rms[1]
+
+
+def test_what_sightings_have_in_common_is_not_averaged_away() -> None:
+    """A hundred known points, all moved by one shift of 5 m: the place is known to 5 m."""
+    rng = np.random.default_rng(9)
+    errors = TrackErrors(300.0, 0.8, 0.0, 1e-9, 1e-12, 0.0)
+    places = ground(rng, 100)
+    pixels, by_pose = predict(CAMERA, POSE, places)
+    seen = Sightings(places, pixels, np.tile(0.01 * np.eye(2), (100, 1, 1)))
+    sigmas = []
+    for shared in (None, 5.0 * by_pose[:, :, :3]):
+        flown = DescentFilter(errors)
+        numbers = flown.add_points(places, 1e-6 * np.eye(300))
+        flown.update(CAMERA, POSE, numbers, seen, shared)
+        sigmas.append(np.sqrt(np.diag(flown.pose_covariance())[:3]))
+    assert sigmas[0].max() < 1.0
+    assert sigmas[1] == pytest.approx(np.full(3, 5.0), rel=0.05)

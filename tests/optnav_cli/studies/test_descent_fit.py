@@ -25,6 +25,7 @@ CALIBRATED = {
     "fresh_px": 0.15,
     "fresh_share": 0.25,
     "landmark_px": 0.4,
+    "landmark_shift": 3e-4,
     "landmark_height_postings": 0.5,
 }
 
