@@ -21,6 +21,7 @@ from optnav_cli.evaluation.evaluation import Evaluation, evaluate
 from optnav_cli.evaluation.figures import Figures
 from optnav_cli.evaluation.files import EVALUATION_CSV, EVALUATION_JSON, error_cells, summary_of
 from optnav_cli.evaluation.table import format_table
+from optnav_cli.fix import Fix, Method, Solution
 from optnav_cli.frames.orbit_tables import AXES, ORBIT_ERRORS, ORBIT_RESIDUALS
 from optnav_cli.frames.run_settings import RUN_TOML, FileAttitude, read_run_settings
 from optnav_cli.frames.tables import EVALUATION
@@ -177,21 +178,34 @@ def evaluate_orbit(folder: Path, truth: Path) -> OrbitEvaluation:
         settings, body = read_run_settings(folder / RUN_TOML)
         attitude = FileAttitude(settings.attitude, body)
         truths = read_truth(truth, attitude)
-        if not (folder / SMOOTHED).exists():
-            raise DataError(
-                f"{folder}: has no {SMOOTHED}, for it is an orbit through zenith distances and not "
-                "through fixes of pictures; compare the rows of orbit.csv"
-            )
         files = {row.file for row in truths}
-        rows = [s for s in read_solutions(folder / SMOOTHED, attitude) if s.file in files]
+        if (folder / SMOOTHED).exists():
+            rows = [s for s in read_solutions(folder / SMOOTHED, attitude) if s.file in files]
+            what = f"the frames of {folder / SMOOTHED}"
+        else:  # through zenith distances: it has the places at all times
+            rows, what = list(_rows_of_path(orbit, truths)), f"a time of the arc of {folder}"
         if not rows:
-            raise DataError(f"{truth}: has none of the frames of {folder / SMOOTHED}")
+            raise DataError(f"{truth}: has none of {what}")
         try:
             found = evaluate(rows, truths, body.radius_m)
         except DataError as error:
             raise DataError(f"{truth}: {error}") from error
         found = Evaluation(found.frames)
         return OrbitEvaluation(found, errors_of(orbit, truths), _fixes_rms(folder, found))
+
+
+def _rows_of_path(orbit: StoredOrbit, truths: Sequence[Truth]) -> Iterator[Solution]:
+    """The orbit's places at the times of a truth within its arc, as rows of solution.csv."""
+    path = OrbitPath(orbit)
+    inside = [t for t in truths if path.first_s <= t.tdb_s <= path.last_s]
+    inside.sort(key=lambda one: one.tdb_s)
+    found = path.rows(np.array([one.tdb_s for one in inside])).rows
+    frame = orbit.body.catalog_frame
+    for one, state, spread in zip(inside, found.states, found.covariances, strict=True):
+        turn = stated_turn(orbit.ephemeris, one.tdb_s)
+        place = frame.catalog(turn @ state[:3])
+        covariance = frame.catalog_covariance(turn @ spread[:3, :3] @ turn.T)
+        yield Solution(one.file, one.utc, Fix(Method.ORBIT, place, covariance))
 
 
 def errors_of(orbit: StoredOrbit, truths: Sequence[Truth]) -> OrbitErrors:
@@ -240,6 +254,8 @@ def _slopes(
 def _fixes_rms(folder: Path, found: Evaluation) -> FloatArray | None:
     """Rms of the fixes' own errors: residual and error of the orbit together."""
     residuals = {}
+    if not (folder / RESIDUALS).exists():
+        return None
     for row in ORBIT_RESIDUALS.rows(folder / RESIDUALS):
         if row.flag("used"):
             residuals[row["file"]] = row.vector([f"residual_{a}_m" for a in AXES])

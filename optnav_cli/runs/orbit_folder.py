@@ -109,7 +109,17 @@ def fit_runs(
                 results={"fixes": len(fit.residuals), "used": fit.used},
                 started=started,
             )
-    return [*summary(fit), *lenses]
+    return [*summary(fit), *lenses, *_other_sights(runs)]
+
+
+def _other_sights(runs: Sequence[Path]) -> list[str]:
+    """What else the runs hold that an orbit can be fitted through, for people."""
+    files = [run / ZENITH_CSV for run in runs]
+    return [
+        f"{file} is there too: name it to fit the zenith distances in place of the fixes"
+        for file in files
+        if file.is_file()
+    ]
 
 
 def _write(

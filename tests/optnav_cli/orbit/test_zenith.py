@@ -1,5 +1,7 @@
 """Zenith distances of stars: their derivatives, the file, the orbit through them, what is open."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from optnav_cli.orbit.problem import OrbitPrior, Trajectory
 from optnav_cli.orbit.settings import ParameterSettings
 from optnav_cli.orbit.zenith import ZenithSights, read_zenith, zenith_distances, zenith_row
 from optnav_cli.orbit.zenith_fit import fit_zenith, zenith_problem
-from tests.optnav_cli.orbit.flights import FORCES, QUIET, START_S, truth
+from tests.optnav_cli.orbit.flights import FORCES, QUIET, START_S, truth, write_truth_of
 
 HEIGHT_M = 1000e3
 STARS = (4, 46, 6)  # Vega, Polaris, Rigel
@@ -163,6 +165,11 @@ def test_sights_of_one_star_name_what_is_not_observed(flown):
     assert spread[-1] > 20.0 * spread[0]
 
 
+def test_of_two_stars_the_mirrored_orbit_is_refused_by_the_forces(flown):
+    fit = fit_zenith(MOTION, sights_of(*flown, stars=(4, 17)), [], [], GATE)
+    assert errors_of(fit, flown).max() < 40.0
+
+
 def test_sights_of_no_orbit_are_refuted(flown):
     times, states = flown
     sights = sights_of(times[:60], states[:60], noise=60.0 * SIGMA)
@@ -197,6 +204,12 @@ def test_the_command_fits_a_file_and_others_read_the_folder(flown, tmp_path, cap
     page = (tmp_path / "orbit.html").read_text()
     assert "zenith distances used" in page
     assert run(["report", str(tmp_path / "orbit"), "-o", str(tmp_path / "orbit.svg")]) == 0
+    write_truth_of(tmp_path / "truth.csv", times, states)
+    truth_file = ["--truth", str(tmp_path / "truth.csv")]
+    assert run(["evaluate", str(tmp_path / "orbit"), *truth_file]) == 0
+    figures = json.loads((tmp_path / "orbit" / "evaluation.json").read_text())
+    assert figures["velocity_normalised_error_squared"] < 10.0
+    assert run(["report", str(tmp_path / "orbit"), "-o", str(tmp_path / "orbit.html")]) == 0
     ahead = ["--to", utc_from_tdb_s(float(times[-1]) + 3600.0, 0), "--step", "600"]
     assert run(["orbit", "predict", str(tmp_path / "orbit"), *ahead]) == 0
 
