@@ -22,6 +22,7 @@ from optnav_cli.orbit.settings import PRIOR_SIGMAS, NoiseModel
 
 MAX_STEPS, MAX_ROUNDS = 30, 40
 SETTLED, NEAR = 1e-3, 3.0  # sigmas: of a fit, and of a start
+NEAR_WHOLE = 30.0  # of a start with all fixes, after which the fit itself goes on
 # The windows that a first orbit grows over, radians of the motion: 0.7, 2, 5 h about the Moon.
 WINDOWS_RAD = (2.2, 6.4, 16.0, math.inf)
 ROBUST_STEPS, ROBUST_CHI_SQUARE = 8, 25.0
@@ -128,9 +129,10 @@ class OrbitSolver:
         """The trajectory that no step moves. Raises NoSolutionError where there is none."""
         size = math.inf
         for _ in range(MAX_STEPS):
-            fresh = self._sigmas is None
+            fresh, before = self._sigmas is None, size
             at, found, size = self.step(at, weights)
-            if size < SETTLED and not fresh:
+            # steps near the end shrink by ever smaller shares: the next one is known to be short
+            if not fresh and (size < SETTLED or size * size < SETTLED * min(before, NEAR)):
                 return at, found
             if not math.isfinite(size):
                 break
@@ -202,7 +204,7 @@ def _start(problem: OrbitProblem, solver: OrbitSolver) -> tuple[Trajectory, Floa
             at, _, size = inner.step(at, own)
             if not np.isfinite(at.states).all():
                 raise NoSolutionError("the fixes fit no orbit of these forces")
-            if size < NEAR:
+            if size < (NEAR_WHOLE if part is problem else NEAR):
                 break
         states[low : high + 1], parameters = at.states, at.parameters
         weights[here] = _robust(part, at)

@@ -37,6 +37,7 @@ class DescentErrors:
 
     height_m, rate_m_s  along up;  side_m, side_m_s  (n,) across, the length of both components
     nees  of the place and velocity, over 6
+    stated_m  (n, 2) 1 sigma of height and side as the filter states them
     """
 
     height_m: FloatArray
@@ -44,6 +45,7 @@ class DescentErrors:
     rate_m_s: FloatArray
     side_m_s: FloatArray
     nees: FloatArray
+    stated_m: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +139,9 @@ class VerticalDescent:
             "ni,ni->n", off, np.linalg.solve(self._p[:, :6, :6], off[..., None])[..., 0]
         )
         lengths = (np.linalg.norm(off[:, :2], axis=1), np.linalg.norm(off[:, 3:5], axis=1))
-        return DescentErrors(off[:, 2], lengths[0], off[:, 5], lengths[1], square / 6.0)
+        variances = np.diagonal(self._p, axis1=1, axis2=2)
+        stated = np.sqrt(np.stack([variances[:, 2], variances[:, 0] + variances[:, 1]], axis=1))
+        return DescentErrors(off[:, 2], lengths[0], off[:, 5], lengths[1], square / 6.0, stated)
 
     def _surface(self, heights: FloatArray) -> FloatArray:
         """(n, 4, 4) of the surface's errors under the feet of beams from heights (n,)."""

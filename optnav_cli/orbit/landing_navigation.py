@@ -4,7 +4,8 @@ Source: Tuchin, thesis (2010), chapter 2, (7): least squares with the expected s
 model of the surface is wrong alike over kilometres; its error is considered in the weights, with
 the correlation of neighbouring points of the ground. A range over relief has many minima: weights
 that fall with the residual open the way in the first two steps, a fit that the residuals refute
-starts again beside, and what no start makes fit is refused.
+starts again beside, and so does one that does not settle: wrong minima hold most of those. What no
+start makes fit is refused.
 """
 
 from dataclasses import dataclass
@@ -18,13 +19,13 @@ from optnav_cli.orbit.landing_rays import DigitalSurface, GroundHits
 from optnav_cli.orbit.qso_motion import MoonMotion, split
 from optnav_cli.reasons import ReasonCode
 
-MAX_STEPS = 12  # the source has 5
+QUICK_STEPS, MAX_STEPS = 5, 12  # the source has 5; more where no start settles in these
 WIDE_M = (2000.0, 300.0)  # residuals that count half in the first steps
 MIN_SLANT = 0.2  # |g'u|: flatter beams tell more of the ground than of the craft
 STEP_S = 60.0
 SETTLED, FULL_STEPS = 0.05, 3  # of a sigma; steps after which halves are taken
 MAX_CHI = 3.0  # weighted residuals, rms over their expectation, beyond which a fit is wrong
-RESTARTS = 10
+RESTARTS, LONG_STARTS = 20, 4
 MIN_RANGES = 6
 # Of the variance of heights that neighbours do not share: with less, fits settle on wrong states;
 # found on the grounds of seed 1 of the study landing, whose figures are of seed 2.
@@ -82,7 +83,7 @@ class RangeFix:
     """A state at the first time (6,) inertial with its covariance (6, 6).
 
     chi    weighted residuals, rms over their expectation;  steps  of the start that fitted
-    starts how many starts it took
+    starts how many starts it took;  settled  whether its last step was short
     """
 
     state: FloatArray
@@ -90,6 +91,7 @@ class RangeFix:
     chi: float
     steps: int
     starts: int
+    settled: bool = True
 
 
 class RangeNavigator:
@@ -120,34 +122,37 @@ class RangeNavigator:
             )
         rng = np.random.default_rng(seed)
         spread = np.linalg.cholesky(prior_covariance)
-        best: RangeFix | None = None
-        for start in range(RESTARTS + 1):
-            aside = spread @ rng.normal(size=6) if start else np.zeros(6)
-            found = self._from(ranges, prior + aside, (prior, prior_covariance), start + 1)
-            if found is not None and (best is None or found.chi < best.chi):
-                best = found
-            if best is not None and best.chi < MAX_CHI / 2.0:
-                break
-        if best is None or best.chi > MAX_CHI:
-            left = f"{best.chi:.1f} sigmas are left" if best else "no start settles"
-            raise NoSolutionError(
-                f"no state fits the ranges from {RESTARTS + 1} starts: {left}",
-                ReasonCode.NO_SOLUTION,
-            )
-        return best
+        asides = np.concatenate([np.zeros((1, 6)), rng.normal(size=(RESTARTS, 6)) @ spread.T])
+        quick = [(aside, min(QUICK_STEPS, self._max_steps)) for aside in asides]
+        tries = [*quick, *((aside, self._max_steps) for aside in asides[:LONG_STARTS])]
+        least = np.inf
+        for number, (aside, most) in enumerate(tries, start=1):
+            before = (prior, prior_covariance)
+            found = self._from(ranges, prior + aside, before, (number, most))
+            if found is None:
+                continue
+            least = min(least, found.chi)
+            if found.settled and found.chi < MAX_CHI:
+                return found
+        left = f"{least:.1f} sigmas are left" if np.isfinite(least) else "all lead astray"
+        raise NoSolutionError(
+            f"no state fits the ranges from {RESTARTS + 1} starts: none settles, {left}",
+            ReasonCode.NO_SOLUTION,
+        )
 
     def _from(
         self,
         ranges: BeamRanges,
         state: FloatArray,
         prior: tuple[FloatArray, FloatArray],
-        number: int,
+        start: tuple[int, int],
     ) -> RangeFix | None:
-        """The fit from one start; None where it does not settle."""
+        """The fit from one start, its number and most steps; None where it goes astray."""
         expected, prior_covariance = prior
         information = np.linalg.inv(prior_covariance)
-        wide = len(WIDE_M)
-        for step in range(self._max_steps + wide):
+        wide, settled = len(WIDE_M), False
+        number, most = start
+        for step in range(most + wide):
             parts = self._linearised(ranges, state)
             if parts is None:
                 return None
@@ -163,7 +168,8 @@ class RangeNavigator:
             # at the edges of a mesh's faces the slope jumps: half steps end the turning to and fro
             state = state + (0.5 if step > wide + FULL_STEPS else 1.0) * change
             covariance = np.linalg.inv(normal).astype(np.float64)
-            if step >= wide and change @ normal @ change < 6.0 * SETTLED**2:
+            settled = bool(step >= wide and change @ normal @ change < 6.0 * SETTLED**2)
+            if settled:
                 break
         parts = self._linearised(ranges, state)
         if parts is None:
@@ -173,7 +179,7 @@ class RangeNavigator:
         off = state - expected
         square += off @ information @ off
         chi = float(np.sqrt(square / len(residuals)))
-        return RangeFix(state, covariance, chi, step + 1 - wide, number)
+        return RangeFix(state, covariance, chi, step + 1 - wide, number, settled)
 
     def _linearised(
         self, ranges: BeamRanges, state: FloatArray

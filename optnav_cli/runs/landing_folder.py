@@ -107,16 +107,16 @@ def landing_folder(settings_path: Path, output: Path, progress: Progress) -> Lan
     return result
 
 
-def fly_trials(task: LandingTask, progress: Progress) -> LandingResult:
-    """All trials that the settings ask for."""
+def fly_trials(task: LandingTask, progress: Progress, grounds: int = GROUNDS) -> LandingResult:
+    """All trials that the settings ask for, over so many grounds in turn."""
     section = task.settings.landing
     trials: list[LandingTrial] = []
     groups: list[tuple[list[LandingTrial], Touchdown]] = []
     with progress.stage(STAGE, section.trials, "trial") as bar:
-        for ground in range(min(GROUNDS, section.trials)):
-            truth = wrong_ground(task, section.seed * GROUNDS + ground)
+        for ground in range(min(grounds, section.trials)):
+            truth = wrong_ground(task, section.seed * grounds + ground)
             own = []
-            for number in range(ground + 1, section.trials + 1, GROUNDS):
+            for number in range(ground + 1, section.trials + 1, grounds):
                 own.append(fly_transfer(task, truth, number))
                 bar.advance()
             trials += own

@@ -3,7 +3,7 @@
 import click
 
 from optnav_cli.parameters import Number
-from optnav_cli.studies.study import MANY, Study, option, seed, trials
+from optnav_cli.studies.study import MANY, Study, option, output, seed, trials
 
 ORBIT_STUDIES = (
     Study(
@@ -53,6 +53,21 @@ ORBIT_STUDIES = (
         with its transition, and states what each field leaves out. Takes a minute.""",
         "--hours 2",
         (option("--hours", Number(0.1, 240.0), 24.0, "Of each flight."),),
+    ),
+    Study(
+        "orbit_runs",
+        "Orbits through the fixes of simulated flights against the fixes, at Phobos and the Moon.",
+        """Fly past Phobos and over the Moon, navigate, fit orbits, and compare with the truth.
+
+        Fits on a flight of its own what errors of near fixes have in common. The flight over the
+        Moon needs the folder of OPTNAV_SHARED_DATA. Takes half an hour on two cores; --rows
+        approach leaves the Moon out, --frames 8 gives a first look.""",
+        "--frames 8 --rows approach",
+        (
+            output("optnav-orbit-runs", "Folder for all files; pictures in it are used again."),
+            option("--frames", click.IntRange(4, MANY), None, "Pictures of each; all if left."),
+            option("--rows", str, "", "Only flights whose name contains this."),
+        ),
     ),
     Study(
         "qso",

@@ -1,5 +1,6 @@
 """Landings: the on-board model, the impulse, rays on the surface, navigation and touchdown."""
 
+import dataclasses
 from pathlib import Path
 
 import msgspec
@@ -155,6 +156,26 @@ def test_ranges_that_nothing_fits_are_refused(task: LandingTask) -> None:
             task.departure.state,
             start_covariance(task.settings),
         )
+
+
+def test_a_wrong_minimum_that_looks_right_is_refused(task: LandingTask) -> None:
+    """Over ground wrong by 20 m over 1 km a start can end in a wrong minimum that looks right.
+
+    One start of this flight ends 140 sigmas off, and its residuals are 0.8 of their expectation:
+    but it does not settle there, nor does any other.
+    """
+    surface = msgspec.structs.replace(
+        SETTINGS.surface, error_m=20.0, error_length_m=1000.0, near_error_m=20.0
+    )
+    rough = dataclasses.replace(task, settings=msgspec.structs.replace(SETTINGS, surface=surface))
+    spread, rng = start_covariance(SETTINGS), np.random.default_rng([2, 38])
+    truth = wrong_ground(rough, 2038)
+    true = task.departure.state + np.linalg.cholesky(spread) @ rng.normal(size=6)
+    times = task.departure.tdb_s + np.arange(0.0, 1501.0, 30.0)
+    ranges = measured_ranges(rough, truth, (true, task.departure.state), times, rng)
+    navigator = RangeNavigator(task.motion, task.model, surface_error(rough))
+    with pytest.raises(NoSolutionError, match="none settles, 0"):
+        navigator.fit(ranges, task.departure.state, spread, 38)
 
 
 def test_too_few_beams_on_the_ground_are_refused(task: LandingTask) -> None:
