@@ -140,6 +140,7 @@ class Remainder(NamedTuple):
     covariance: FloatArray
 
 
+_LOADED = np.ones((4, 4)) + 1e-9 * np.eye(4)  # so little that no digit of a place hangs on it
 NO_REMAINDER = Remainder(np.zeros(2), np.diag([np.inf, np.inf]))
 
 
@@ -161,9 +162,16 @@ def refined_by_remainder(
     place has N^-1 J N^-1 / a^2; infinite where a <= 0: the patch does not show the template.
     """
     slopes = np.where(common[..., None], slopes, np.float32(0.0))
-    fit, rest = _left_over(template, slopes, patch, common)
+    # one kind of array, so that the kernels are compiled once
+    template, patch = np.ascontiguousarray(template), np.ascontiguousarray(patch)
+    sums = _fit_sums(template, slopes, patch, common)
+    # a template without contrast leaves an unknown open: then there is no gain
+    if not sums.diagonal().min() > 1e-30:
+        return NO_REMAINDER
+    fit: FloatArray = np.linalg.solve(sums[:, :4] * _LOADED, sums[:, 4]).astype(np.float64)
     if not fit[1] > 0.0:
         return NO_REMAINDER
+    rest = _left_over(template, slopes, patch, common, fit)
     # zeros about the grids keep opposite borders apart as far as errors are correlated
     side = cv2.getOptimalDFTSize(max(template.shape) + CORRELATED_NODES)
     rows, cols = template.shape
@@ -206,12 +214,11 @@ def _taper(side: int) -> Float32Array:
 
 
 @kernel
-def _left_over(
+def _fit_sums(
     template: Float32Array, slopes: Float32Array, patch: Float32Array, common: BoolArray
-) -> tuple[FloatArray, Float32Array]:
-    """const, a, b, c; and the rest (n, n), 0 where not common."""
+) -> FloatArray:
+    """Normal equations of const, a, b, c and their right side (4, 5)."""
     rows, cols = template.shape
-    rest = np.zeros((rows, cols), np.float32)
     # sums of 1, t, t_x, t_y by themselves and by p; one by one takes a third of the time
     n = s_t = s_x = s_y = s_p = 0.0
     tt = tx = ty = tp = xx = xy = xp = yy = yp = 0.0
@@ -235,20 +242,32 @@ def _left_over(
             xp += x * p
             yy += y * y
             yp += y * p
-    normal = np.array([[n, s_t, s_x, s_y], [s_t, tt, tx, ty], [s_x, tx, xx, xy], [s_y, ty, xy, yy]])
-    # a template without contrast leaves an unknown open: then there is no gain
-    for i in range(4):
-        if not normal[i, i] > 1e-30:
-            return np.zeros(4), rest
-        normal[i, i] *= 1.0 + 1e-9
-    fit = np.linalg.solve(normal, np.array([s_p, tp, xp, yp]))
+    sums = np.empty((4, 5))
+    sums[0, 0], sums[0, 1], sums[0, 2], sums[0, 3], sums[0, 4] = n, s_t, s_x, s_y, s_p
+    sums[1, 0], sums[1, 1], sums[1, 2], sums[1, 3], sums[1, 4] = s_t, tt, tx, ty, tp
+    sums[2, 0], sums[2, 1], sums[2, 2], sums[2, 3], sums[2, 4] = s_x, tx, xx, xy, xp
+    sums[3, 0], sums[3, 1], sums[3, 2], sums[3, 3], sums[3, 4] = s_y, ty, xy, yy, yp
+    return sums
+
+
+@kernel
+def _left_over(
+    template: Float32Array,
+    slopes: Float32Array,
+    patch: Float32Array,
+    common: BoolArray,
+    fit: FloatArray,
+) -> Float32Array:
+    """What const, a, b, c leave over of the patch (n, n), 0 where not common."""
+    rows, cols = template.shape
+    rest = np.zeros((rows, cols), np.float32)
     for r in range(rows):
         for c in range(cols):
             if common[r, c]:
                 shown = fit[0] + fit[1] * template[r, c]
                 shown += fit[2] * slopes[r, c, 0] + fit[3] * slopes[r, c, 1]
                 rest[r, c] = patch[r, c] - shown
-    return np.array([fit[0], fit[1], fit[2], fit[3]]), rest
+    return rest
 
 
 @kernel
@@ -277,8 +296,10 @@ def _weighted_sums(
     """
     side = pair.shape[0]
     floor = SPECTRUM_FLOOR * spectrum.mean() + 1e-30  # of a perfect match nothing is left over
-    cycles = np.minimum(np.arange(side), side - np.arange(side)) / side
-    damped = np.exp(-np.square(2.0 * np.pi * DAMPED_NODES * cycles))
+    damped = np.empty(side)
+    for i in range(side):
+        damping = 2.0 * np.pi * DAMPED_NODES * (min(i, side - i) / side)
+        damped[i] = np.exp(-(damping * damping))
     sums, right = np.zeros((2, 6)), np.zeros(3)
     for i in range(side):
         m = side - i if i else 0
@@ -304,10 +325,13 @@ def _weighted_sums(
                 sums[n, 3] += share * xx
                 sums[n, 4] += share * xy
                 sums[n, 5] += share * yy
-    sums, right = sums * (0.25 / (side * side)), right * (0.25 / (side * side))
-    square = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+    scale = 0.25 / (side * side)
     normal, scatter = np.empty((3, 3)), np.empty((3, 3))
+    n = 0
     for i in range(3):
-        for j in range(3):
-            normal[i, j], scatter[i, j] = sums[0, square[i, j]], sums[1, square[i, j]]
+        right[i] *= scale
+        for j in range(i, 3):
+            normal[i, j] = normal[j, i] = sums[0, n] * scale
+            scatter[i, j] = scatter[j, i] = sums[1, n] * scale
+            n += 1
     return normal, right, scatter

@@ -327,7 +327,7 @@ class OrbitMotion:
         columns: tuple[IntArray, list[str]],
     ) -> FloatArray:
         """(n, k) of a path from `first` (k,) to times ever farther to one side."""
-        last, times = float(since[-1]), since
+        last, times = float(since[-1]), np.ascontiguousarray(since)  # one kind of array to compile
         kinds, owners = columns
         switches = self._forces.switches
         if len(switches):

@@ -171,22 +171,34 @@ def solve(
 @kernel
 def inverse_of(matrix: FloatArray) -> FloatArray:
     """Inverse of a symmetric positive matrix (k, k); NaN where an unknown is open."""
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    scales = np.outer(scale, scale)
-    inverse = matrix * scales
+    # by single numbers: sums of whole arrays take numba ten times as long to compile
+    size = matrix.shape[0]
+    scale, inverse = np.empty(size), np.empty((size, size))
+    for i in range(size):
+        scale[i] = 1.0 / np.sqrt(matrix[i, i])
+    for i in range(size):
+        for j in range(size):
+            inverse[i, j] = matrix[i, j] * (scale[i] * scale[j])
     # Gauss-Jordan: the pivots of a positive matrix need no order
-    for j in range(len(scale)):
+    for j in range(size):
         pivot = inverse[j, j]
         if not pivot > MIN_PIVOT:
-            return np.full(matrix.shape, np.nan)
+            inverse[:] = np.nan
+            return inverse
         inverse[j, j] = 1.0
-        inverse[j] /= pivot
-        for i in range(len(scale)):
+        for k in range(size):
+            inverse[j, k] /= pivot
+        for i in range(size):
             if i != j:
                 factor = inverse[i, j]
                 inverse[i, j] = 0.0
-                inverse[i] -= factor * inverse[j]
-    return 0.5 * (inverse + inverse.T) * scales
+                for k in range(size):
+                    inverse[i, k] -= factor * inverse[j, k]
+    for i in range(size):
+        for j in range(i + 1):
+            mean = 0.5 * (inverse[i, j] + inverse[j, i]) * (scale[i] * scale[j])
+            inverse[i, j] = inverse[j, i] = mean
+    return inverse
 
 
 @kernel

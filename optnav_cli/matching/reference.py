@@ -122,29 +122,29 @@ def _fill_from(
     """Put a patch's heights into the NaN nodes of a centred window; bicubic between the nodes."""
     size, last = window.shape[0], patch.shape[0] - 1.0
     ratio = posting / patch_posting
-    places = last / 2.0 + (np.arange(size) - (size - 1) / 2.0) * ratio
-    inside = (places >= 0.0) & (places <= last)
-    inner = (places >= 1.0) & (places < last - 1.0)
-    weights = np.empty((size, 4))
+    # by single numbers: sums of whole arrays take numba several times as long to compile
+    places, weights = np.empty(size), np.empty((size, 4))
     for k in range(size):
-        weights[k] = cubic_weights(places[k] - int(places[k]))
+        places[k] = last / 2.0 + (k - (size - 1) / 2.0) * ratio
+        w = cubic_weights(places[k] - int(places[k]))
+        weights[k, 0], weights[k, 1], weights[k, 2], weights[k, 3] = w
     for row in range(size):
-        if not inside[row]:
+        if not 0.0 <= places[row] <= last:
             continue
-        r, wr = int(places[row]), weights[row]
+        r, inner = int(places[row]), 1.0 <= places[row] < last - 1.0
         for col in range(size):
-            if not inside[col] or window[row, col] == window[row, col]:
+            if not 0.0 <= places[col] <= last or window[row, col] == window[row, col]:
                 continue
             value = np.nan
-            if inner[row] and inner[col]:
+            if inner and 1.0 <= places[col] < last - 1.0:
                 # as bicubic_at, whose weights are the same for a whole row or column
-                c, wc = int(places[col]), weights[col]
+                c = int(places[col])
                 value = 0.0
                 for i in range(4):
                     line = 0.0
                     for j in range(4):
-                        line += wc[j] * patch[r - 1 + i, c - 1 + j]
-                    value += wr[i] * line
+                        line += weights[col, j] * patch[r - 1 + i, c - 1 + j]
+                    value += weights[row, i] * line
             if value != value:
                 value = bicubic_at(patch, places[row], places[col])
             window[row, col] = value

@@ -71,17 +71,19 @@ def lit_share(
     s = _FIRST_NODES * first.step_lat * first.radius_m
     end = _way_out(r, low, first)
     ray = Ray(x, y, z, dx, dy, dz)
-    how, s, _, _, deepest = walk(first, ray, s, end, 0, full)
+    # numbers and not literals, for each of which numba would compile `walk` anew
+    finest, coarser = int(np.int64(0)), int(np.int64(2))
+    how, s, _, _, deepest = walk(first, ray, s, end, finest, full)
     # one after the other: a loop over the grounds copies them, half as long again
     end = _way_out(r, low, second)
     if how != DARK and s < end:
         s = max(s, second.step_lat * second.radius_m)
-        how, s, _, _, deep = walk(second, ray, s, end, 2, full)
+        how, s, _, _, deep = walk(second, ray, s, end, coarser, full)
         deepest = max(deepest, deep)
     end = _way_out(r, low, third)
     if how != DARK and s < end:
         s = max(s, third.step_lat * third.radius_m)
-        how, s, _, _, deep = walk(third, ray, s, end, 2, full)
+        how, s, _, _, deep = walk(third, ray, s, end, coarser, full)
         deepest = max(deepest, deep)
     return max(0.0, 1.0 - deepest / full)
 
@@ -137,7 +139,7 @@ def shade_node(
     east_rate = (h[i, d] - h[i, c]) / (d - c)
     lat, lon = ground.north - i * ground.step_lat, ground.west + j * ground.step_lon
     light = Light(sun, camera, surface)
-    return shade(ground, lat, lon, float(h[i, j]), south_rate, east_rate, light)
+    return shade(ground, lat, lon, float(h[i, j]), float(south_rate), float(east_rate), light)
 
 
 @parallel_kernel

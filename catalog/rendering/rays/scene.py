@@ -205,8 +205,8 @@ def first_hits(fine: Ground, wide: Ground, view: View, hits: Hits) -> None:
     """
     kind, distance, row, col = hits.kind, hits.distance, hits.row, hits.col
     origin, corners, radius = view.origin, view.corners, fine.radius_m
-    for i in numba.prange(kind.shape[0]):
-        hint = 0.0
+    for parallel in numba.prange(kind.shape[0]):
+        i, hint = int(np.int64(parallel)), 0.0  # signed, or callees are compiled a second time
         for j in range(kind.shape[1]):
             dx, dy, dz = _ray(corners, i, j, 0.5, 0.5)
             kind[i, j] = SKY
@@ -333,7 +333,8 @@ def mean_radiance(
     sun, shaded, wide_lit, missing = shading.sun, shading.fine, shading.wide_lit, shading.missing
     origin, corners = view.origin, view.corners
     posting = fine.step_lat * fine.radius_m
-    for i in numba.prange(kind.shape[0]):
+    for parallel in numba.prange(kind.shape[0]):
+        i = int(np.int64(parallel))  # signed, or callees are compiled a second time
         for j in range(kind.shape[1]):
             if out[i, j] == out[i, j]:
                 continue
