@@ -313,7 +313,7 @@ def announce_compilation() -> None:
 
     Later runs find them in numba's cache and start at once.
     """
-    if not _has_cached_kernels():
+    if not has_cached_kernels():
         _log_compilation()
         return
     numba_event: Any = import_module("numba.core.event")
@@ -329,7 +329,7 @@ class _CompilationListener:
             _log_compilation()
 
 
-def _has_cached_kernels() -> bool:
+def has_cached_kernels() -> bool:
     """Whether numba's cache has an index of any kernel of the catalog, a look of a millisecond."""
     from importlib.resources import files
 
