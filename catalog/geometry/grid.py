@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 
 
@@ -16,6 +16,70 @@ def cubic_weights(t: float) -> tuple[float, float, float, float]:
         0.5 * t + 2.0 * t2 - 1.5 * t3,
         -0.5 * t2 + 0.5 * t3,
     )
+
+
+@kernel
+def _down_columns(
+    grid: Float32Array,
+    base: IntArray,
+    past: Float32Array,
+    span: tuple[int, int],
+    line: Float32Array,
+) -> bool:
+    """Fill columns first to last of a line with samples `past` rows after base; False: outside."""
+    half, one, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
+    three_halves, five_halves = np.float32(1.5), np.float32(2.5)
+    first, last = span
+    height = grid.shape[0]
+    begin = first
+    while begin <= last:
+        # columns that the row crosses between the same two of the grid
+        r, end = base[begin], begin + 1
+        while end <= last and base[end] == r:
+            end += 1
+        if r < 1 or r > height - 3:
+            return False
+        above, upper, lower, below = grid[r - 1], grid[r], grid[r + 1], grid[r + 2]
+        for k in range(np.uint64(begin), np.uint64(end)):
+            x = past[k]
+            xx = x * x
+            xxx = xx * x
+            outer = (xx - half * (x + xxx)) * above[k] + half * (xxx - xx) * below[k]
+            inner = (one + three_halves * xxx - five_halves * xx) * upper[k]
+            line[k] = outer + (inner + (half * x + two * xx - three_halves * xxx) * lower[k])
+        begin = end
+    return True
+
+
+@kernel
+def _along_line(
+    line: Float32Array, cols: FloatArray, width: float, samples: int, out: Float32Array
+) -> None:
+    """Fill means (n,) of samples of a line over a width about columns (n,)."""
+    half, one, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
+    three_halves, five_halves = np.float32(1.5), np.float32(2.5)
+    size = cols.size
+    at, over = np.empty(size, np.uint32), np.empty(size, np.float32)
+    target = np.empty(size, np.float32)
+    target[:] = np.float32(0.0)
+    share = np.float32(1.0 / samples)
+    for s in range(samples):
+        aside = ((s + 0.5) / samples - 0.5) * width - 1.0
+        for j in range(size):
+            place = cols[j] + aside
+            at[j] = np.uint32(place)
+            over[j] = np.float32(place - at[j])
+        for j in range(size):
+            i = np.uint64(at[j])
+            x = over[j]
+            xx = x * x
+            xxx = xx * x
+            outer = (xx - half * (x + xxx)) * line[i]
+            outer += half * (xxx - xx) * line[i + np.uint64(3)]
+            inner = (one + three_halves * xxx - five_halves * xx) * line[i + np.uint64(1)]
+            inner += (half * x + two * xx - three_halves * xxx) * line[i + np.uint64(2)]
+            target[j] += share * (outer + inner)
+    out[:] = target
 
 
 @kernel
@@ -41,16 +105,12 @@ def sample_rows(
     times what a cubic misses between columns. NaN where a hole is touched. False, with some rows
     made, where a row leaves the grid or crosses it too steeply.
     """
-    height, width = grid.shape
+    width = grid.shape[1]
     size = col.shape[1]
     line, past = np.empty(width, np.float32), np.empty(width, np.float32)
     base = np.empty(width, np.int64)
-    at, over = np.empty(size, np.uint32), np.empty(size, np.float32)
     fall, rows, cols = np.empty(size - 1), np.empty(size), np.empty(size)
     per_row, row0, per_col, col0 = fit
-    target = np.empty(size, np.float32)
-    half, one, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
-    three_halves, five_halves = np.float32(1.5), np.float32(2.5)
     for m in range(out.shape[0]):
         for j in range(size):
             rows[j] = row[m, j] * per_row + row0
@@ -76,42 +136,9 @@ def sample_rows(
                 base[c] = int(place)
                 past[c] = np.float32(place - base[c])
                 c += 1
-        begin = first
-        while begin <= last:
-            # columns that the row crosses between the same two of the grid
-            r, end = base[begin], begin + 1
-            while end <= last and base[end] == r:
-                end += 1
-            if r < 1 or r > height - 3:
-                return False
-            above, upper, lower, below = grid[r - 1], grid[r], grid[r + 1], grid[r + 2]
-            for k in range(np.uint64(begin), np.uint64(end)):
-                x = past[k]
-                xx = x * x
-                xxx = xx * x
-                outer = (xx - half * (x + xxx)) * above[k] + half * (xxx - xx) * below[k]
-                inner = (one + three_halves * xxx - five_halves * xx) * upper[k]
-                line[k] = outer + (inner + (half * x + two * xx - three_halves * xxx) * lower[k])
-            begin = end
-        target[:] = np.float32(0.0)
-        share = np.float32(1.0 / samples)
-        for s in range(samples):
-            aside = ((s + 0.5) / samples - 0.5) * wide[m] - 1.0
-            for j in range(size):
-                place = cols[j] + aside
-                at[j] = np.uint32(place)
-                over[j] = np.float32(place - at[j])
-            for j in range(size):
-                i = np.uint64(at[j])
-                x = over[j]
-                xx = x * x
-                xxx = xx * x
-                outer = (xx - half * (x + xxx)) * line[i]
-                outer += half * (xxx - xx) * line[i + np.uint64(3)]
-                inner = (one + three_halves * xxx - five_halves * xx) * line[i + np.uint64(1)]
-                inner += (half * x + two * xx - three_halves * xxx) * line[i + np.uint64(2)]
-                target[j] += share * (outer + inner)
-        out[m] = target
+        if not _down_columns(grid, base, past, (first, last), line):
+            return False
+        _along_line(line, cols, wide[m], samples, out[m])
     return True
 
 

@@ -1,6 +1,7 @@
 """`optnav calibrate`: a camera by the pictures of a route, or its lens by a grid of dots."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +117,7 @@ def command(
     """
     _check_words(click.get_current_context(), spacing_mm, solve)
     if spacing_mm is not None:
-        result = _by_grids(progress, paths, output, solve, spacing_mm, **more)
+        result = _by_grids(progress, paths, output, solve, spacing_mm, more)
     else:
         result = _in_flight(progress, paths[0], output, solve, **more)
     tell(result)
@@ -153,23 +154,20 @@ def _by_grids(
     output: Path,
     solve: tuple[str, ...],
     spacing_mm: float,
-    *,
-    grid: tuple[int, int] | None,
-    name: str | None,
-    distance_mm: float | None,
-    error_mm: float | None,
-    **_: Any,
+    given: Mapping[str, Any],
 ) -> list[str]:
+    """Calibrate by grids of dots; `given` are the other options, OF_A_GRID among them."""
     from optnav_cli.calibration.grid_calibration import GridDistance
     from optnav_cli.camera.camera_file import is_plain_name
     from optnav_cli.estimation.models.common import Common
     from optnav_cli.runs.calibrate_grid import GridInputs, calibrate_grid
 
+    name, distance_mm, error_mm = given["name"], given["distance_mm"], given["error_mm"]
     if name is not None and not is_plain_name(name):
         raise click.UsageError(f"--name is {name!r}; wanted a plain word, the name of a file")
     kinds = [kind for kind in Common if kind.value in solve and kind.value in OF_A_LENS]
     distance = None if distance_mm is None else GridDistance(distance_mm, error_mm or 5.0)
-    inputs = GridInputs(pictures, spacing_mm, grid, name or "grid", distance)
+    inputs = GridInputs(pictures, spacing_mm, given["grid"], name or "grid", distance)
     return calibrate_grid(inputs, output, kinds, progress).lines()
 
 
