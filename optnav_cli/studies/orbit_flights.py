@@ -35,6 +35,7 @@ TOLERANCE = 1e-12
 KICK_S = 30.0  # white noise of the truth is drawn as kicks so far apart
 SURE_DEGREE, TRUE_DEGREE, FIELD_ERROR = 20, 90, 0.1
 FIELD = "gravity/glgm3150.txt"  # of OPTNAV_SHARED_DATA
+MIN_LIT = 24  # fixes of a flight of 12 h, two hours of them
 LOWEST_SUN = 0.1  # sine of the Sun's elevation below the craft by which ground is called lit
 
 
@@ -176,14 +177,21 @@ def rough_flights(seed: int, count: int) -> Iterator[tuple[TrueFlight, TrueFligh
     shared = os.environ.get(SHARED)
     if not shared:
         raise ConfigError(f"flights over another field need {SHARED}; name the folder with {FIELD}")
+    found = 0
     with tempfile.TemporaryDirectory() as folder:
-        for k in range(count):
+        for k in range(2 * count):
             rng = np.random.default_rng((seed, 1000 + k))
             truth = rough_forces(1000 * seed + k, Path(shared), Path(folder))
             start = random_start(rng, truth.motion.body, HEIGHT_M)
             whole = fly(truth, start, every(5.0, 25.0))
             arc = whole.part(whole.times <= whole.times[0] + 12 * 3600.0 + 1.0)
-            yield arc.part(arc.lit()), whole, int(rng.integers(2**31))
+            lit = arc.lit()
+            if lit.sum() < MIN_LIT:  # along the terminator nothing is navigated
+                continue
+            yield arc.part(lit), whole, int(rng.integers(2**31))
+            found += 1
+            if found == count:
+                return
 
 
 def rough_forces(seed: int, shared: Path, folder: Path) -> Forces:
