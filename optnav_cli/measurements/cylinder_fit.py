@@ -15,7 +15,6 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
-from catalog.geometry.kernel import kernel
 from optnav_cli.estimation.least_squares import (
     Estimate,
     Linearisation,
@@ -25,14 +24,11 @@ from optnav_cli.estimation.least_squares import (
     linearised,
 )
 from optnav_cli.measurements.cylinder import CylinderSize, half_width, psi_of, surface_distance
+from optnav_cli.measurements.cylinder_brightness import LOBES, drawn_columns
 from optnav_cli.measurements.cylinder_profile import CylinderProfile
+from optnav_cli.measurements.cylinder_sizes import cylinder_sizes
 from optnav_cli.reasons import Reason, ReasonCode
 
-STRIPS, DUSK_STRIPS = 48, 12  # of the seen surface that is lit by all, and by a part, of the source
-DARKEST, STEEPEST = 0.02, 1.5  # least cosine under a logarithm, largest angle of a tangent
-HALF_ROOT = math.sqrt(0.5)
-REACH_SIGMAS = 6.5  # of the blur that are drawn
-LOBES = (8.0, 20.0, 50.0)  # exponents of the lobes of gloss
 # Unknowns: distance m, bearing, theta, logarithms of the blur, px, and of half the width of the
 # source, rad; then brightness, in units of that of the lit part: the background, what comes from
 # all sides, the light, and by what share of it the cloth departs from Lambert's law.
@@ -40,7 +36,6 @@ DISTANCE, BEARING, THETA, BLUR, SOURCE, LINEAR, LIGHT = 0, 1, 2, 3, 4, 5, 7
 # background, ambient; Lambert's light, Minnaert's powers of incidence and emission, rough facets
 EXPECTED = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, *(0.0 for _ in LOBES)])
 SIGMAS = np.array([0.1, 0.3, 3.0, 0.1, 0.1, 0.3, *(0.2 for _ in LOBES)])
-LIT = len(EXPECTED) - 2  # of them, those of the light
 UNKNOWNS = LINEAR + len(EXPECTED)
 # a lens in focus, with the pixel's own width; a lamp of a laboratory, or the Sun
 WIDTHS, WIDTH_SIGMAS = np.log([0.9, math.radians(1.0)]), np.array([0.35, 0.8])
@@ -49,15 +44,16 @@ MODEL_SHARE, DARK_SHARE = 0.004, 0.001  # of a column's brightness, and of the b
 # model does not draw
 STEP = 1e-5  # of numeric derivatives, in each unknown's own size
 STARTS = np.radians([*range(-160, 161, 5)])
+# wide gloss makes minima of its own, 5 to 15 deg off: a bad fit is followed by other starts
+START_GAP, MAX_STARTS, GOOD_MISFIT = math.radians(12.0), 6, 0.6
+# sum of squares of the cloth's terms in their expected sizes: beyond it others are looked for
+UNLIKELY = 3.0
+NEARBY = np.radians([-3.0, 3.0, -6.0, 6.0, -10.0, 10.0])
 LIMB_PX = 2.5  # columns so near to a limb give no height
 MAX_MISFIT = 12.0  # of residuals in units of their errors, rms: no lit cylinder
-# Light that grazes all that is seen: gloss and cloth look like another angle of the light, more
-# than the terms here hold. Errors of trials with rough and glossy cloth, 1 sigma at 137 deg, grow
-# about as the cube of the angle beyond 100 deg: of the distance in radii, of theta in rad.
-GRAZING, GRAZING_SPAN = math.radians(100.0), math.radians(37.0)
-GRAZING_RADII, GRAZING_RAD = 0.07, math.radians(8.0)
 MAX_HEIGHT_MISFIT = 0.03  # of the height, rms: no cylinder, or not upright
-MAX_STEPS, SETTLED = 80, 1e-3  # of the fit, and the fall of its cost that ends it
+NARROWEST = math.log(math.radians(0.25))  # a source of less looks the same, whatever it is
+MAX_STEPS, SETTLED = 80, 1e-2  # of the fit, and the fall of its cost that ends it
 DAMPING, MAX_DAMPING, EASED = 1e-3, 1e7, 0.2
 OPEN = Reason(ReasonCode.DEGENERATE, "the profile leaves the angle of the light open")
 UNSETTLED = Reason(ReasonCode.NOT_SETTLED, "the fit of the profile does not settle")
@@ -95,109 +91,6 @@ class CylinderFit:
     middle_row_px: float
 
 
-@kernel
-def _lit_brightness(
-    psi: float, middle: float, theta: float, source: float, found: FloatArray
-) -> None:
-    """Brightness by each of the linear unknowns from the light on, into found (LIT,).
-
-    psi, middle  of a lit point of the surface: its angle and its bearing from the axis
-    source       half the width of the source, rad
-    """
-    emission = math.cos(psi + middle)
-    # the mean over the source of the sine of its height, which may be a part of it alone; both
-    # agree to the last digit where they meet, for the sake of the derivatives
-    up = 0.5 * math.pi - abs(psi - theta)
-    cosine = 0.0
-    if up >= source:
-        cosine = math.sin(up) * math.sin(source) / source
-    elif up > -source:
-        cosine = (1.0 - math.cos(up + source)) / (2.0 * source)
-    found[0] = cosine
-    found[1] = cosine * math.log(max(cosine, DARKEST))
-    found[2] = cosine * math.log(max(emission, DARKEST))
-    found[3] = 0.0
-    if (psi - theta) * (psi + middle) > 0.0:  # Oren and Nayar's share of rough facets
-        one, other = abs(psi - theta), abs(psi + middle)
-        found[3] = cosine * math.sin(max(one, other)) * math.tan(min(one, other, STEEPEST))
-    # half way between the directions to the light and to the camera
-    half = max(math.cos(psi - 0.5 * (theta - middle)), 0.0)
-    risen = min(max(0.5 + 0.5 * up / source, 0.0), 1.0)
-    for k in range(len(LOBES)):
-        found[4 + k] = risen * half ** LOBES[k]
-
-
-@kernel
-def _drawn(
-    columns: FloatArray, state: FloatArray, radius: float, focal: float, centre: float
-) -> FloatArray:
-    """Brightness (n, LIT + 2) of columns (n,) by each linear unknown.
-
-    The lit surface is cut into strips from the terminator to the limb, finer where a part of the
-    source has risen. Brightness is linear over each of them, and what of it a blurred column holds
-    is written down in closed form, so that the result is smooth in all unknowns.
-    """
-    distance, axis, theta = state[0], state[1], state[2]
-    blur, source = math.exp(state[3]), math.exp(state[4])
-    found = np.zeros((columns.size, LIT + 2))
-    found[:, 0] = 1.0
-    widest = math.acos(radius / distance)
-    limb = math.asin(radius / distance)
-    one = np.ones(1)
-    low, high = centre + focal * math.tan(axis - limb), centre + focal * math.tan(axis + limb)
-    _add_strip(columns, low, high, blur, one, one, found[:, 1:2])
-    side = 1.0 if theta >= 0.0 else -1.0
-    # measured to the lit side, from the terminator on
-    risen = min(max(abs(theta) - 0.5 * math.pi + source, -widest), widest)
-    begun = min(max(abs(theta) - 0.5 * math.pi - source, -widest), widest)
-    far = min(abs(theta) + 0.5 * math.pi + source, widest)
-    here, there = np.empty(LIT), np.empty(LIT)
-    left = 0.0
-    for j in range(DUSK_STRIPS + STRIPS + 1):
-        if j <= DUSK_STRIPS:
-            psi = begun + (risen - begun) * j / DUSK_STRIPS
-        else:
-            psi = risen + (far - risen) * (j - DUSK_STRIPS) / STRIPS
-        psi *= side
-        middle = math.atan2(radius * math.sin(psi), distance - radius * math.cos(psi))
-        right = centre + focal * math.tan(axis + middle)
-        _lit_brightness(psi, middle, theta, source, there)
-        if j > 0 and side > 0.0:
-            _add_strip(columns, left, right, blur, here, there, found[:, 2:])
-        elif j > 0:
-            _add_strip(columns, right, left, blur, there, here, found[:, 2:])
-        left = right
-        here[:] = there
-    return found
-
-
-@kernel
-def _add_strip(
-    columns: FloatArray,
-    left: float,
-    right: float,
-    blur: float,
-    here: FloatArray,
-    there: FloatArray,
-    found: FloatArray,
-) -> None:
-    """Add a strip from left to right, px, whose k brightnesses go from here to there, to (n, k)."""
-    width = right - left
-    if not width > 0.0:
-        return
-    reach = REACH_SIGMAS * blur
-    begin = max(math.floor(left - reach - columns[0]), 0)
-    end = min(math.ceil(right + reach - columns[0]) + 1, columns.size)
-    for i in range(begin, end):
-        low, high = (left - columns[i]) / blur, (right - columns[i]) / blur
-        whole = 0.5 * (math.erf(high * HALF_ROOT) - math.erf(low * HALF_ROOT))
-        bells = math.exp(-0.5 * low * low) - math.exp(-0.5 * high * high)
-        # the mean of how far along the strip the light of the column comes from
-        along = (bells * blur / math.sqrt(2.0 * math.pi) + (columns[i] - left) * whole) / width
-        for k in range(here.size):
-            found[i, k] += whole * here[k] + along * (there[k] - here[k])
-
-
 class ProfileModel:
     """Mean brightness of the columns."""
 
@@ -213,7 +106,7 @@ class ProfileModel:
     def design(self, state: FloatArray) -> FloatArray:
         """(n, LIT + 2) brightness by each linear unknown."""
         lens = self._lens
-        return _drawn(self.columns, state, self._radius, lens.focal_x_px, lens.centre_x_px)
+        return drawn_columns(self.columns, state, self._radius, lens.focal_x_px, lens.centre_x_px)
 
     def linearise(self, state: FloatArray) -> Linearisation:
         """Residuals, and derivatives by differences for what is not linear."""
@@ -251,7 +144,7 @@ class ProfileModel:
 
 
 def _strengths(state: FloatArray) -> FloatArray:
-    """The linear unknowns of a state as what the columns of `_drawn` are multiplied by."""
+    """The linear unknowns of a state as what the columns of `drawn_columns` are multiplied by."""
     found = state[LINEAR:].copy()
     found[3:] *= state[LIGHT]
     return found
@@ -309,7 +202,9 @@ def fit_cylinder(profile: CylinderProfile, lens: IdealLens, size: CylinderSize) 
     ]
     best: Estimate[FloatArray] | None = None
     failure = UNSETTLED.error()
-    for start in _starts(profile, brightness, lens, size):
+    for number, start in enumerate(_starts(profile, brightness, lens, size)):
+        if number >= 2 and best is not None and _misfit(best) < GOOD_MISFIT:
+            break
         try:
             estimate = _settled(brightness, others, start, 1.02 * size.radius_m)
         except NoSolutionError as error:
@@ -319,7 +214,34 @@ def fit_cylinder(profile: CylinderProfile, lens: IdealLens, size: CylinderSize) 
             best = estimate
     if best is None:
         raise failure
+    if best.terms[1].cost > UNLIKELY:
+        best = _refined(brightness, others, best, size)
     return _checked(best, brightness, profile, size)
+
+
+def _refined(
+    brightness: ProfileModel,
+    others: Sequence[Model[FloatArray]],
+    best: Estimate[FloatArray],
+    size: CylinderSize,
+) -> Estimate[FloatArray]:
+    """The best of a fit and of others that begin near it with the usual cloth and lamp.
+
+    Cloth of an unlikely kind under a light some degrees off draws nearly the same profile: a
+    minimum of its own beside the true one.
+    """
+    for off in NEARBY:
+        place = [*best.state[:THETA], best.state[THETA] + off, *WIDTHS]
+        _, start = brightness.started(np.array(place))
+        if start.size == LINEAR:
+            continue
+        try:
+            tried = _settled(brightness, others, start, 1.02 * size.radius_m)
+        except NoSolutionError:
+            continue
+        if tried.cost < best.cost:
+            best = tried
+    return best
 
 
 def _settled(
@@ -342,15 +264,20 @@ def _settled(
         gradient = np.sum([term.gradient for term in terms], axis=0)
         cost = sum(term.cost for term in terms)
         damped = normal + np.diag(damping * np.diag(normal))
-        trial = _moved(state, inverse_of(damped) @ gradient, nearest_m)
-        _, trial = brightness.started(trial[:LINEAR], trial[LIGHT])
-        if trial.size == LINEAR:
+        whole = _moved(state, inverse_of(damped) @ gradient, nearest_m)
+        # the brightness that is best for the place of the step, or that of the step itself: the
+        # first is solved for with a prior that is about right
+        _, resolved = brightness.started(whole[:LINEAR], whole[LIGHT])
+        trials = [one for one in (resolved, whole) if one.size > LINEAR and one[LIGHT] > 0.0]
+        if not trials:
             damping /= EASED
             continue
-        tried = tuple(model.linearise(trial) for model in models)
-        fall = cost - sum(term.cost for term in tried)
+        linear = [tuple(model.linearise(one) for model in models) for one in trials]
+        costs = [sum(term.cost for term in tried) for tried in linear]
+        least = int(np.argmin(costs))
+        fall = cost - costs[least]
         if fall >= 0.0:
-            state, terms = trial, tried
+            state, terms = trials[least], linear[least]
         damping *= EASED if fall >= 0.0 else 1.0 / EASED
         if (0.0 <= fall < SETTLED and damping < DAMPING) or damping > MAX_DAMPING:
             normal = np.sum([term.normal for term in terms], axis=0)
@@ -369,6 +296,7 @@ def _moved(state: FloatArray, step: FloatArray, nearest_m: float) -> FloatArray:
     factor = min(1.0, float(np.min(limits / np.maximum(np.abs(step[:LINEAR]), 1e-12))))
     moved = state + factor * step
     moved[DISTANCE] = max(moved[DISTANCE], nearest_m)
+    moved[SOURCE] = max(moved[SOURCE], NARROWEST)
     moved[THETA] = (moved[THETA] + math.pi) % (2.0 * math.pi) - math.pi
     return moved
 
@@ -376,7 +304,7 @@ def _moved(state: FloatArray, step: FloatArray, nearest_m: float) -> FloatArray:
 def _starts(
     profile: CylinderProfile, model: ProfileModel, lens: IdealLens, size: CylinderSize
 ) -> list[FloatArray]:
-    """The best two states of a coarse search over theta; the limb on the lit side fixes the rest.
+    """The best states of a coarse search over theta; the limb on the lit side fixes the rest.
 
     Raises NoSolutionError where the lit part has no extent to begin with.
     """
@@ -403,7 +331,18 @@ def _starts(
     found.sort(key=lambda pair: pair[0])
     if not found or not np.isfinite(found[0][0]):
         raise NoSolutionError("the profile is not that of a lit cylinder", ReasonCode.LIMB_MISFIT)
-    return [state for cost, state in found[:2] if np.isfinite(cost)]
+    chosen: list[FloatArray] = []
+    for cost, state in found:
+        apart = [abs(state[THETA] - other[THETA]) >= START_GAP for other in chosen]
+        if np.isfinite(cost) and all(apart) and len(chosen) < MAX_STARTS:
+            chosen.append(state)
+    return chosen
+
+
+def _misfit(estimate: Estimate[FloatArray]) -> float:
+    """Residuals of brightness in units of their errors, rms."""
+    brightness = estimate.terms[0]
+    return math.sqrt(brightness.cost / brightness.residuals.size)
 
 
 def _checked(
@@ -411,7 +350,7 @@ def _checked(
 ) -> CylinderFit:
     """The solution with its covariance. Raises NoSolutionError where it is none."""
     brightness, heights = best.terms[0], best.terms[3]
-    misfit = math.sqrt(brightness.cost / brightness.residuals.size)
+    misfit = _misfit(best)
     used = heights.weights > 0.0
     if used.sum() > 3:
         off = float(np.sqrt(np.mean(heights.residuals[used] ** 2)))
@@ -431,9 +370,9 @@ def _checked(
         raise NoSolutionError("the light falls from nowhere", ReasonCode.WRONG_LIGHT)
     # scatter beyond what is stated widens the errors
     covariance = best.covariance[:3, :3] * max(misfit, 1.0) ** 2
-    beyond = (max(abs(float(best.state[THETA])) - GRAZING, 0.0) / GRAZING_SPAN) ** 3
-    covariance[0, 0] += (GRAZING_RADII * size.radius_m * beyond) ** 2
-    covariance[2, 2] += (GRAZING_RAD * beyond) ** 2
+    beyond_m2, beyond = cylinder_sizes().variances(float(best.state[THETA]), size.radius_m)
+    covariance[0, 0] += beyond_m2
+    covariance[2, 2] += beyond
     gain = brightness.gain(best.covariance)[:3]
     noise = (gain / model.noise_weights) @ gain.T
     if heights.residuals.size:

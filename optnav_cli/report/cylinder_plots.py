@@ -31,7 +31,10 @@ def cylinder_page(folder: Path) -> str:
     numbers = [(f"{len(solved)} of {len(rows)}", "pictures have a distance")]
     keys = {f"k{kind[1]}": zone.replace("_", " ") for zone, kind in ZONES}
     drawn = [panel.plot.svg(panel.description) for panel in _panels(rows, _radius(manifest))]
-    words = "Distance to the surface, angle of the light, and the path about the axis, light right."
+    words = (
+        "Distance to the surface, angle of the light, and the path about the axis, with the light "
+        "from the right; zones other than ok are shaded."
+    )
     sections = [
         html.section("Result", html.tiles(numbers)),
         html.section("Motion", html.figure(html.side_by_side("triple", drawn), words, keys)),
@@ -64,6 +67,10 @@ def _panels(rows: Sequence[CsvRow], radius_m: float) -> list[Panel]:
     ):
         axes = PlotAxis(span(seconds, 0.03), "seconds"), PlotAxis(span(values), label)
         plot = Plot(*axes, width=HALF, height=HEIGHT)
+        low, high = axes[1].ends
+        for kind, part in _zones_in_turn(solved):
+            first, last = _ends_of(seconds, part)
+            plot.area([first, last, last, first], [low, low, high, high], kind)
         plot.line(seconds, values, "muted thin")
         _by_zone(plot, solved, seconds, values)
         found.append(Panel(name, plot, f"{label} over time"))
@@ -77,12 +84,38 @@ def _panels(rows: Sequence[CsvRow], radius_m: float) -> list[Panel]:
         height=HEIGHT,
         equal=True,
     )
+    farthest = 1.05 * float(np.nanmax(reach, initial=radius_m))
+    for kind, part in _zones_in_turn(solved):
+        turned = np.unwrap(np.radians(theta))
+        swept = np.linspace(*_ends_of(turned, part), 24)
+        plot.area(
+            np.append(0.0, farthest * np.cos(swept)), np.append(0.0, farthest * np.sin(swept)), kind
+        )
     turn = np.linspace(0.0, 2.0 * np.pi, 61)
     plot.area(radius_m * np.cos(turn), radius_m * np.sin(turn), "muted")
     plot.marks([0.0], [0.0], "muted", "cross")
     plot.line(x, y, "muted thin")
     _by_zone(plot, solved, x, y)
     return [*found, Panel("path", plot, "path of the camera about the axis")]
+
+
+def _zones_in_turn(rows: Sequence[CsvRow]) -> list[tuple[str, slice]]:
+    """Series and places of rows that follow each other in one zone other than ok."""
+    kinds = dict(ZONES)
+    names = [row["zone"] or "ok" for row in rows]
+    starts = [n for n in range(len(names)) if n == 0 or names[n] != names[n - 1]]
+    parts = zip(starts, [*starts[1:], len(names)], strict=True)
+    return [
+        (f"{kinds.get(names[a], 'muted')} band", slice(a, b)) for a, b in parts if names[a] != "ok"
+    ]
+
+
+def _ends_of(values: FloatArray, part: slice) -> tuple[float, float]:
+    """From half way to the one before to half way to the one after."""
+    first, last = part.start, part.stop - 1
+    before, after = max(first - 1, 0), min(last + 1, len(values) - 1)
+    low, high = 0.5 * (values[first] + values[before]), 0.5 * (values[last] + values[after])
+    return float(low), float(high)
 
 
 def _by_zone(plot: Plot, rows: Sequence[CsvRow], x: FloatArray, y: FloatArray) -> None:

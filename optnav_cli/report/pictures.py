@@ -1,6 +1,7 @@
 """The overlays of a run on its page: small ones side by side, each whole on a click."""
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -25,24 +26,35 @@ PNG_HEADER = b"\x89PNG\r\n\x1a\n"
 def pictures_section(run: RunFolder) -> Markup:
     """Overlays evenly through the run; a note where some are missing or damaged."""
     names = [solution.file for solution in run.solutions]
-    paths = {file: overlay_path(run.path / OVERLAYS, file) for file in names}
-    there = [file for file, path in paths.items() if path.is_file()]
+    there = _there(run.path / OVERLAYS, names)
     if not there:
         return Markup()
+    parts = [html.anchor("pictures"), html.paragraph(_words(run, len(there)))]
+    shown, damaged = overlays(run.path / OVERLAYS, names)
+    if damaged:
+        parts.append(html.paragraph(damaged, "note"))
+    return html.section("Pictures", *parts, shown)
+
+
+def overlays(folder: Path, names: Sequence[str]) -> tuple[Markup, str]:
+    """Overlays of files evenly through them, side by side, and a note on those that are damaged."""
+    there = _there(folder, names)
     number = min(len(there), MAX_PICTURES)
     picked = [there[k] for k in np.linspace(0, len(there) - 1, number).round().astype(int)]
-    read = {file: _overlay(paths[file]) for file in picked}
+    read = {file: _overlay(overlay_path(folder, file)) for file in picked}
     pictures = {file: picture for file, picture in read.items() if picture is not None}
     shown = [
         html.enlarged(f"picture{k}", html.uri_of(data, "jpeg"), f"overlay of {file}", file)
         for k, (file, data) in enumerate(_shrunk(pictures).items())
     ]
-    parts = [html.anchor("pictures"), html.paragraph(_words(run, len(there)))]
     damaged = [file for file, picture in read.items() if picture is None]
-    if damaged:
-        words = f"{html.counted(len(damaged), 'overlay')} cannot be read: {', '.join(damaged)}."
-        parts.append(html.paragraph(words, "note"))
-    return html.section("Pictures", *parts, html.side_by_side("thumbs", shown))
+    words = f"{html.counted(len(damaged), 'overlay')} cannot be read: {', '.join(damaged)}."
+    return html.side_by_side("thumbs", shown), words if damaged else ""
+
+
+def _there(folder: Path, names: Sequence[str]) -> list[str]:
+    """Files that have an overlay."""
+    return [file for file in dict.fromkeys(names) if overlay_path(folder, file).is_file()]
 
 
 def _words(run: RunFolder, there: int) -> str:

@@ -26,6 +26,7 @@ from optnav_cli.report import page as html
 from optnav_cli.report.descent_plots import descent_plots, is_descent
 from optnav_cli.report.error_plots import error_plots
 from optnav_cli.report.ground_map import ground_plot
+from optnav_cli.report.picked_plots import is_picked, picked_plots
 from optnav_cli.report.pictures import pictures_section
 from optnav_cli.report.svg import HALF, MOST, Plot, PlotAxis, span
 
@@ -182,7 +183,9 @@ def run_page(folder: Path) -> str:
         if is_descent(run):
             sections.append(html.section("Over the height", *_descent(run)))
         sections.append(html.section("On the ground", ground_plot(run)))
-    if any(match.measured_px is not None for match in run.matches):
+    if is_picked(run):
+        sections.append(html.section("Picked points", *picked_plots(run)))
+    elif any(match.measured_px is not None for match in run.matches):
         sections.append(html.section("Control points", *residual_plots(run), _refusals(run)))
     frames = html.section("Frames", _frames(run.solutions))
     sections += [pictures_section(run), _unsolved(run), frames, _made_from(folder)]

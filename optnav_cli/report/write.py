@@ -21,8 +21,10 @@ from optnav_cli.report.error_plots import error_sheet
 from optnav_cli.report.hazard_page import hazard_page
 from optnav_cli.report.landing_page import landing_page, landing_sheet
 from optnav_cli.report.orbit_page import orbit_page, orbit_sheet
+from optnav_cli.report.picked_plots import is_picked, picked_sheet
 from optnav_cli.report.qso_page import qso_page, qso_sheet
 from optnav_cli.report.run_page import run_page
+from optnav_cli.report.stars_page import STARS_KIND, stars_page
 
 # Pages and pictures of output folders, by the kind that their manifest states.
 PAGES = {
@@ -32,6 +34,7 @@ PAGES = {
     QSO_KIND: qso_page,
     LANDING_KIND: landing_page,
     DELIVERY_KIND: delivery_page,
+    STARS_KIND: stars_page,
 }
 SHEETS = {
     CYLINDER_KIND: cylinder_sheet,
@@ -70,7 +73,8 @@ def _write(source: Path, output: Path) -> None:
         run = read_run(source)
         if not any(solution.solved for solution in run.solutions):
             raise DataError(f"{source}: no frame is solved, so there is nothing to draw")
-        sheet.write_sheet(error_sheet(run), output)
+        draw_run = picked_sheet if is_picked(run) else error_sheet
+        sheet.write_sheet(draw_run(run), output)
         return
     if source.is_dir():
         made = (draw for kind, draw in PAGES.items() if made_by_optnav(source, kind))

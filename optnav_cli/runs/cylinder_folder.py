@@ -32,6 +32,7 @@ from optnav_cli.measurements.cylinder import (
 )
 from optnav_cli.measurements.cylinder_fit import CylinderFit, IdealLens, fit_cylinder
 from optnav_cli.measurements.cylinder_profile import measure_profile, seed_extent
+from optnav_cli.measurements.cylinder_sizes import cylinder_sizes
 from optnav_cli.output.cylinder_overlay import cylinder_overlay
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
@@ -50,7 +51,8 @@ MAX_STEP_S = 60.0  # between pictures that a velocity is taken from
 class CylinderRow:
     """A row of cylinder.csv; d m, theta and bearing deg; velocity m/s towards the light, across.
 
-    noise  (2, 2) covariance of distance m and theta rad by the noise of the picture alone
+    noise, common  (2, 2) covariances of distance m and theta rad: by the noise of the picture
+                   alone, and by what neighbouring pictures have in common, cloth and lens
     """
 
     frame: Frame
@@ -63,6 +65,7 @@ class CylinderRow:
     velocity: tuple[float, float, float] | None = None
     reason: str = ""
     noise: FloatArray | None = None
+    common: FloatArray | None = None
 
     def cells(self) -> dict[str, object]:
         """The row as the file has it."""
@@ -185,6 +188,7 @@ def _row(
         math.degrees(fit.bearing),
         reason=reason,
         noise=fit.noise[np.ix_([0, 2], [0, 2])],
+        common=(fit.covariance - fit.noise)[np.ix_([0, 2], [0, 2])],
     )
 
 
@@ -232,8 +236,8 @@ def with_velocities(rows: Sequence[CylinderRow], radius_m: float) -> list[Cylind
     """Rows with velocities by three neighbours in time: a line at their middle, or a parabola.
 
     The positions are those of the camera about the axis: x towards the light, y where theta grows.
-    Errors that neighbours have in common, of cloth and lens, drop out, so that the noise of the
-    pictures alone makes the sigma.
+    Errors that neighbours have in common, of cloth and lens, drop out: the noise of the pictures
+    makes the sigma, and what of cloth and light changes as the light turns.
     """
     found = list(rows)
     usable = [
@@ -251,23 +255,44 @@ def with_velocities(rows: Sequence[CylinderRow], radius_m: float) -> list[Cylind
             continue
         # the slope of the parabola through three points at the time of the row
         weights = np.linalg.inv(np.vander(times, 3, increasing=True))[1]
-        velocity, variance = np.zeros(2), 0.0
-        for row, weight in zip(three, weights, strict=True):
-            place, spread = _place(row, radius_m)
-            velocity += weight * place
-            variance += weight**2 * float(np.trace(spread)) / 2.0
-        vx, vy = (float(speed) for speed in velocity)
-        found[number] = replace(rows[number], velocity=(vx, vy, math.sqrt(variance)))
+        places, parts = zip(*(_place(row, radius_m) for row in three), strict=True)
+        vx, vy = (float(speed) for speed in weights @ np.array(places))
+        covariance = _velocity_covariance(three, weights, parts)
+        sigma = math.sqrt(float(np.trace(covariance)) / 2.0)
+        found[number] = replace(rows[number], velocity=(vx, vy, sigma))
     return found
 
 
+def _velocity_covariance(
+    rows: Sequence[CylinderRow],
+    weights: FloatArray,
+    parts: Sequence[FloatArray],
+) -> FloatArray:
+    """(2, 2) of the sum of rows' positions with weights; parts are their derivatives.
+
+    Errors of cloth and light drop out as far as they are alike.
+    """
+    alike = cylinder_sizes().likeness(np.radians([row.theta_deg or 0.0 for row in rows]))
+    sigmas = [
+        np.zeros(2) if row.common is None else np.sqrt(np.maximum(np.diag(row.common), 0.0))
+        for row in rows
+    ]
+    total = np.zeros((2, 2))
+    for i, row in enumerate(rows):
+        noise = np.eye(2) if row.noise is None else row.noise
+        total += weights[i] ** 2 * parts[i] @ noise @ parts[i].T
+        for j in range(len(rows)):
+            common = np.diag(alike[i, j] * sigmas[i] * sigmas[j])
+            total += weights[i] * weights[j] * parts[i] @ common @ parts[j].T
+    return total
+
+
 def _place(row: CylinderRow, radius_m: float) -> tuple[FloatArray, FloatArray]:
-    """Position (2,), m, of a solved row and its covariance (2, 2)."""
+    """Position (2,), m, of a solved row and its derivatives (2, 2) by distance and theta."""
     distance, theta = (row.d_m or 0.0) + radius_m, math.radians(row.theta_deg or 0.0)
     cosine, sine = math.cos(theta), math.sin(theta)
     jacobian = np.array([[cosine, -distance * sine], [sine, distance * cosine]])
-    noise = np.eye(2) if row.noise is None else row.noise
-    return distance * np.array([cosine, sine]), jacobian @ noise @ jacobian.T
+    return distance * np.array([cosine, sine]), jacobian
 
 
 def cylinder_lines(rows: Sequence[CylinderRow]) -> list[str]:

@@ -28,8 +28,9 @@ from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.run_folder import CAMERAS, FRAMES, OVERLAYS
 from optnav_cli.output.star_overlay import draw_stars
+from optnav_cli.report.stars_page import ATTITUDES_CSV, STARS_KIND
 
-KIND, STAGE, ATTITUDES_CSV = "stars", "stars", "attitudes.csv"
+STAGE = "stars"
 DEFAULT_BODY = "earth"  # where a craft flies whose folder has no run.toml
 
 
@@ -100,7 +101,7 @@ def stars_folder(folder: Path, output: Path, progress: Progress) -> list[StarRow
         cameras, table = read_cameras(folder / CAMERAS), STAR_FRAMES.rows(folder / FRAMES)
         _check_files(folder / FRAMES, table)
         rows: list[StarRow] = []
-        with replacing_folder(output, KIND) as place:
+        with replacing_folder(output, STARS_KIND) as place:
             (place / OVERLAYS).mkdir()
             with progress.stage(STAGE, len(table), "picture") as bar:
                 for row in table:
@@ -110,7 +111,7 @@ def stars_folder(folder: Path, output: Path, progress: Progress) -> list[StarRow
             files = [row.file for row in rows]
             write_manifest(
                 place,
-                KIND,
+                STARS_KIND,
                 command="stars",
                 options={},
                 inputs={"folder": folder, "files_sha256": hash_files(folder, [*files, FRAMES])},

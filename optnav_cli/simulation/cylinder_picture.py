@@ -16,6 +16,7 @@ from catalog.arrays import Float32Array, FloatArray
 from optnav_cli.camera.camera import Camera
 
 COLUMNS = 4  # drawn a pixel; limbs and ends of the strip are smoothed over one of them
+MARGIN_PX = 4  # about the strip; beyond it there is nothing to draw
 SOURCE_RAYS = 5  # across the source
 SOURCE_BRIGHTNESS = 60.0  # of the source in view, over the bright part of the strip
 
@@ -62,9 +63,12 @@ def draw_cylinder(
     """
     radius, height = size_m
     distance, axis, theta = place
-    rows, columns = camera.shape
-    fine = (np.arange(columns * COLUMNS) + 0.5) / COLUMNS - 0.5
-    x, y = np.meshgrid(fine, np.arange(rows, dtype=np.float64))
+    picture = np.full(camera.shape, surface.background, np.float32)
+    first, last, left, right = _box(camera, size_m, place, below_middle_m)
+    fine = (np.arange(left * COLUMNS, right * COLUMNS) + 0.5) / COLUMNS - 0.5
+    x, y = np.meshgrid(fine, np.arange(first, last, dtype=np.float64))
+    if not x.size:
+        return picture
     rays = camera.unproject(np.stack([x, y], axis=-1))
     flat = np.hypot(rays[..., 0], rays[..., 2])
     bearing = np.arctan2(rays[..., 0], rays[..., 2]) - axis
@@ -81,9 +85,33 @@ def draw_cylinder(
     along = np.clip((0.5 * height - np.abs(down)) / row_step + 0.5, 0.0, 1.0)
     light = _brightness(psi, bearing, slope, theta, surface)
     cover = across * along
-    picture = cover * light + (1.0 - cover) * surface.background
-    mean: FloatArray = picture.reshape(rows, columns, COLUMNS).mean(axis=2)
-    return mean.astype(np.float32)
+    seen = cover * light + (1.0 - cover) * surface.background
+    mean: FloatArray = seen.reshape(last - first, right - left, COLUMNS).mean(axis=2)
+    picture[first:last, left:right] = mean.astype(np.float32)
+    return picture
+
+
+def _box(
+    camera: Camera,
+    size_m: tuple[float, float],
+    place: tuple[float, float, float],
+    below_middle_m: float,
+) -> tuple[int, int, int, int]:
+    """First row and the row after the last, and columns, that may show the strip."""
+    radius, height = size_m
+    distance, axis, _ = place
+    rows, columns = camera.shape
+    limb = math.asin(radius / distance)
+    bearings = axis + np.linspace(-limb, limb, 33)
+    ends = (np.array([-0.5, 0.5]) * height + below_middle_m) / (distance - radius)
+    rays = np.array([[math.sin(b), end, math.cos(b)] for b in bearings for end in (*ends, 0.0)])
+    pixels = camera.project(rays)
+    if not np.isfinite(pixels).all():
+        return 0, rows, 0, columns
+    low, high = np.floor(pixels.min(axis=0)) - MARGIN_PX, np.ceil(pixels.max(axis=0)) + MARGIN_PX
+    left, right = (int(np.clip(n, 0, columns)) for n in (low[0], high[0] + 1))
+    first, last = (int(np.clip(n, 0, rows)) for n in (low[1], high[1] + 1))
+    return (first, last, left, right) if last - first > 1 else (0, 0, 0, 0)
 
 
 def source_glare(

@@ -116,6 +116,21 @@ _OTHERS = (
         ),
     ),
     Study(
+        "cylinder",
+        "A lit cylinder: distance, light and speed, and the printed formula.",
+        """Draw pictures of a cylinder whose cloth and light the fit does not have, and fit them.
+
+        Errors by the angle of the light against what is asked and stated, the speed of a craft that
+        circles, and what the printed formula (6) makes of exact widths. --fit finds the sizes of
+        configs/models/cylinder.toml, on other cloths and another cylinder. Takes some minutes.""",
+        "--trials 5",
+        (
+            trials(2, 40, "Pictures of each range of angles."),
+            seed("Of places, cloths and noise."),
+            option("--fit", bool, False, "Find the sizes on other cloths.", is_flag=True),
+        ),
+    ),
+    Study(
         "descent",
         "A descent to 2 km by windows of the model and landmarks.",
         """Fly descents of one inertial track over several grounds, with several drawn tracks each.

@@ -11,6 +11,7 @@ from catalog.errors import ConfigError, NothingToDoError
 from catalog.progress import SilentProgress
 from optnav_cli.frames.tables import CYLINDER, CYLINDER_TRUTH
 from optnav_cli.report import write_report
+from optnav_cli.report.cylinder_plots import cylinder_sheet
 from optnav_cli.runs.cylinder_folder import cylinder_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.cylinder_scenario import CylinderScenario
@@ -53,6 +54,18 @@ def test_a_circling_craft_is_followed(pictures: Path, tmp_path: Path) -> None:
     assert sorted(p.name for p in (tmp_path / "run" / "overlays").iterdir())
     write_report(tmp_path / "run", tmp_path / "run.html")
     assert "A lit cylinder" in (tmp_path / "run.html").read_text(encoding="utf-8")
+
+
+def test_zones_are_shaded_in_the_plots(tmp_path: Path) -> None:
+    lines = ["file,utc,status,zone,d_m,d_sigma_m,theta_deg,theta_sigma_deg"]
+    for number, (zone, theta) in enumerate((("ok", 20), ("full_face", 3), ("glare", 175))):
+        time = f"2026-01-01T00:00:{2 * number:02d}Z"
+        lines.append(f"{number}.png,{time},solved,{zone},1.2,0.001,{theta},0.1")
+    (tmp_path / "cylinder.csv").write_text("\n".join(lines) + "\n")
+    drawn = cylinder_sheet(tmp_path, 0.14)
+    for series in ("s3", "s4"):  # over time in two plots, about the axis in the third
+        assert drawn.count(f'class="area {series} band"') == 3
+    assert 'class="area s1 band"' not in drawn
 
 
 def test_the_printed_formulas_are_computed(pictures: Path, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from catalog.progress import SilentProgress
 from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.reasons import ReasonCode
+from optnav_cli.report import write_report
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.stars_folder import stars_folder
@@ -47,6 +48,10 @@ def test_a_folder_of_stars_gets_attitudes_and_overlays(tmp_path):
     assert second["status"] == "unsolved"
     assert "fewer than the 4 stars" in second["reason"]
     assert len(list((tmp_path / "run/overlays").iterdir())) == 2
+    write_report(tmp_path / "run", tmp_path / "run.html")
+    page = (tmp_path / "run.html").read_text(encoding="utf-8")
+    assert page.count("data:image/jpeg") >= 2  # the frames, with their stars named
+    assert "fewer than the 4 stars" in page
 
 
 def test_a_time_is_not_needed_but_then_the_sigmas_hold_aberration(tmp_path):

@@ -1,0 +1,143 @@
+"""Picked points on a run's page: where they lie with their residuals, and errors of the places.
+
+A narrow picture leaves the distance along its line of sight the least known: the ellipses, in the
+plane of the vertical and of the horizontal part of that line, are long along it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+
+from catalog.arrays import FloatArray
+from catalog.geometry.vectors import unit
+from optnav_cli.fix import MatchKind, MatchRow, Solution
+from optnav_cli.output.run_folder import RunFolder
+from optnav_cli.report.page import figure, side_by_side
+from optnav_cli.report.sheet import LegendEntry, Panel, sheet
+from optnav_cli.report.svg import HALF, Plot, PlotAxis
+
+MAX_FRAMES = 6  # that are drawn; of more, evenly through the run
+ENLARGED = 0.06  # of the longer side of the picture: the median residual's length as it is drawn
+LONGEST = 0.25  # of that side: a blunder's residual would leave the picture
+HEIGHT = 300
+LEGEND = (
+    LegendEntry("s1", "used", line=False),
+    LegendEntry("s4", "not used", "cross", line=False),
+    LegendEntry("s2", "residual, enlarged", ""),
+    LegendEntry("s3", "3 stated sigmas", ""),
+    LegendEntry("muted", "line of sight", ""),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class PickedFrame:
+    """A solved frame, its place and covariance, its points and the size of its picture."""
+
+    solution: Solution
+    position_m: FloatArray
+    covariance_m2: FloatArray
+    points: list[MatchRow]
+    size_px: tuple[float, float]
+
+
+def is_picked(run: RunFolder) -> bool:
+    """Whether a run has frames solved by picked points."""
+    return bool(_frames(run))
+
+
+def picked_plots(run: RunFolder) -> list[Markup]:
+    """For the page: a map of the points and an ellipse for each of a few frames."""
+    frames = _frames(run)
+    drawn = [panel.plot.svg(panel.description) for row in _panels(frames) for panel in row]
+    some = "" if len(frames) <= MAX_FRAMES else f" {MAX_FRAMES} of {len(frames)} frames."
+    words = (
+        "Left: picked points in the picture with their residuals, enlarged so that the median one "
+        "has the same length everywhere. Right: 3 stated sigmas of the place, in the plane of the "
+        f"vertical and the line of sight (thin, towards the points).{some}"
+    )
+    keys = {"k1": "used", "k4": "not used", "k2": "residuals", "k3": "3 sigmas"}
+    return [figure(side_by_side("pair", drawn), words, keys)]
+
+
+def picked_sheet(run: RunFolder) -> str:
+    """The same as a picture that stands alone."""
+    return sheet("Picked points", LEGEND, _panels(_frames(run)))
+
+
+def _frames(run: RunFolder) -> list[PickedFrame]:
+    found = []
+    for solution in run.solutions:
+        points = [
+            match
+            for match in run.matches
+            if match.file == solution.file
+            and match.kind == MatchKind.PICKED_POINT
+            and match.measured_px is not None
+        ]
+        camera = run.cameras.get(solution.file)
+        place, covariance = solution.position_m, solution.covariance_m2
+        if place is None or covariance is None or not points or camera is None:
+            continue
+        size = float(camera.width_px), float(camera.height_px)
+        found.append(PickedFrame(solution, place, covariance, points, size))
+    return found
+
+
+def _panels(frames: Sequence[PickedFrame]) -> list[list[Panel]]:
+    count = min(len(frames), MAX_FRAMES)
+    chosen = np.linspace(0, len(frames) - 1, count).round().astype(int)
+    return [[_map(frames[k]), _ellipse(frames[k])] for k in chosen]
+
+
+def _map(frame: PickedFrame) -> Panel:
+    """The points in the picture and their residuals."""
+    width, height = frame.size_px
+    # rows of a picture count downwards
+    axes = PlotAxis((0.0, width), "x, px"), PlotAxis((-height, 0.0), "-y, px")
+    plot = Plot(*axes, width=HALF, height=HEIGHT, equal=True)
+    plot.line([0.0, width, width, 0.0], [0.0, 0.0, -height, -height], "muted thin", closed=True)
+    flip, longer = np.array([1.0, -1.0]), max(frame.size_px)
+    residuals = [np.zeros(2) if p.residual_px is None else p.residual_px for p in frame.points]
+    lengths = [float(np.hypot(*r)) for r, p in zip(residuals, frame.points, strict=True) if p.used]
+    scale = ENLARGED * longer / max(float(np.median(lengths or [1.0])), 1e-6)
+    for point, residual in zip(frame.points, residuals, strict=True):
+        if point.measured_px is None:
+            continue
+        place, drawn = point.measured_px * flip, residual * flip * scale
+        drawn = drawn * min(1.0, LONGEST * longer / max(float(np.hypot(*drawn)), 1e-9))
+        end = place + drawn
+        plot.line([place[0], end[0]], [place[1], end[1]], "s2")
+        series, shape, size = ("s1", "circle", 3.2) if point.used else ("s4", "cross", 5.0)
+        words = f"{point.name} {point.reason}".strip()
+        plot.marks([place[0]], [place[1]], series, shape, size, [words])
+    name = frame.solution.file
+    return Panel(f"{name}, residuals x {scale:.0f}", plot, f"Picked points of {name}")
+
+
+def _ellipse(frame: PickedFrame) -> Panel:
+    """The error of the place, in the plane of the vertical and the line of sight."""
+    up = unit(frame.position_m)
+    sight = np.mean([point.cp_position_m for point in frame.points], axis=0) - frame.position_m
+    level = sight - (sight @ up) * up
+    if not np.linalg.norm(level) > 1e-6 * np.linalg.norm(sight):  # straight down
+        axis = np.eye(3)[int(np.argmin(np.abs(up)))]
+        level = axis - (axis @ up) * up
+    plane = np.array([unit(level), up])
+    values, vectors = np.linalg.eigh(plane @ frame.covariance_m2 @ plane.T)
+    angle = np.linspace(0.0, 2.0 * np.pi, 73)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    outline = 3e-3 * (vectors * np.sqrt(np.maximum(values, 0.0))) @ circle
+    reach = 1.15 * max(float(np.abs(outline).max()), 1e-6)
+    axes = (
+        PlotAxis((-reach, reach), "towards the points, km"),
+        PlotAxis((-reach, reach), "up, km"),
+    )
+    plot = Plot(*axes, width=HALF, height=HEIGHT, equal=True)
+    end: FloatArray = unit(plane @ sight) * reach
+    plot.line([0.0, end[0]], [0.0, end[1]], "muted thin")
+    plot.line(outline[0], outline[1], "s3", closed=True)
+    plot.marks([0.0], [0.0], "s1", "circle")
+    name = frame.solution.file
+    return Panel("3 sigmas of the place", plot, f"Error ellipse of the place of {name}")

@@ -1,0 +1,73 @@
+"""The study of a lit cylinder with few pictures, and its sizes of errors."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from catalog.progress import SilentProgress
+from optnav_cli.measurements.cylinder_sizes import CylinderErrorSizes, cylinder_sizes, grazing_of
+from optnav_cli.studies import cylinder
+
+FIGURES = Path(cylinder.__file__).parent / "figures" / "cylinder.json"
+
+
+def test_few_pictures_are_within_what_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cylinder, "_circled", lambda *_: (30, 49.0, 0.4, 1.0, 1.0, 0.5, 0.7))
+    figures = cylinder.run(SilentProgress(), trials=1)
+    assert len(figures.trials) + len(figures.lost) == len(cylinder.BANDS)
+    for band, _, d_off, _, off, _ in figures.trials[:3]:
+        most_m, most_deg = cylinder.BANDS[int(band)][1]
+        assert abs(d_off) < most_m
+        assert abs(off) < most_deg
+    text = cylinder.report(figures).to_text()
+    assert "Formula (6) as printed" in text
+
+
+def test_the_printed_formula_gives_31_degrees_for_the_full_face() -> None:
+    printed = {row[0]: row[1:] for row in cylinder._formula()}
+    assert printed[6] == pytest.approx((31.4, 6.0), abs=0.1)
+    assert printed[120] == pytest.approx((120.5, 120.0), abs=0.1)
+
+
+def test_sizes_that_errors_were_drawn_with_are_found_again() -> None:
+    rng = np.random.default_rng(2)
+    true = CylinderErrorSizes(
+        theta_deg=0.3,
+        theta_grazing_deg=1.5,
+        distance_radii=0.002,
+        distance_grazing_radii=0.01,
+        alike_deg=150.0,
+    )
+    theta = rng.uniform(5.0, 145.0, 4000)
+    grazing = np.array([grazing_of(math.radians(t)) for t in theta])
+    own_m, own_deg = np.full(4000, 1e-4), np.full(4000, 0.1)
+    d_sigma = cylinder.FITTED_SIZE.radius_m * np.hypot(0.002, 0.01 * grazing)
+    sigma = np.hypot(0.3, 1.5 * grazing)
+    shipped = np.array([cylinder_sizes().variances(math.radians(t), 0.10) for t in theta])
+    table = np.stack(
+        [
+            np.zeros(4000),
+            theta,
+            rng.normal(0.0, np.hypot(own_m, d_sigma)),
+            np.sqrt(own_m**2 + shipped[:, 0]),
+            rng.normal(0.0, np.hypot(own_deg, sigma)),
+            np.sqrt(own_deg**2 + shipped[:, 1] * math.degrees(1.0) ** 2),
+        ],
+        axis=1,
+    )
+    found = cylinder.fitted_sizes(table)
+    for name in ("theta_deg", "theta_grazing_deg", "distance_radii", "distance_grazing_radii"):
+        assert getattr(found, name) == pytest.approx(getattr(true, name), rel=0.15)
+
+
+def test_the_stored_figures_keep_what_is_asked() -> None:
+    tables = json.loads(FIGURES.read_text(encoding="utf-8"))["tables"]
+    names = [column["name"] for column in tables[0]["columns"]]
+    for row in tables[0]["rows"][:3]:
+        cells = dict(zip(names, row, strict=True))
+        assert cells["d_rms"] <= cells["d_asked"]
+        assert cells["theta_rms"] <= cells["theta_asked"]
+        assert cells["held"] >= 95.0
