@@ -104,9 +104,11 @@ def _zones_in_turn(rows: Sequence[CsvRow]) -> list[tuple[str, slice]]:
     kinds = dict(ZONES)
     names = [row["zone"] or "ok" for row in rows]
     starts = [n for n in range(len(names)) if n == 0 or names[n] != names[n - 1]]
-    parts = zip(starts, [*starts[1:], len(names)], strict=True)
+    ends = [*starts, len(names)][1:]
     return [
-        (f"{kinds.get(names[a], 'muted')} band", slice(a, b)) for a, b in parts if names[a] != "ok"
+        (f"{kinds.get(names[start], 'muted')} band", slice(start, end))
+        for start, end in zip(starts, ends, strict=True)
+        if names[start] != "ok"
     ]
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 
@@ -18,6 +19,7 @@ SMOOTH_PX, THRESHOLD_SIGMAS = 1.0, 5.0
 MIN_PIXELS, MAX_STAR_PX = 4, 13  # a spot's pixels, and its longer side
 MIN_BODY_PX = 25  # across: larger than the picture of any star
 BODY_MARGIN_PX = 12
+MIN_LIT_SHARE = 0.05  # of a disc: a crescent is wider up to a phase of 150 deg
 TRAIL_RATIO, MIN_TRAIL_PX = 2.2, 5.0
 MIN_NEIGHBOUR_SHARE = (
     0.3  # of the middle pixel's light, in the eight about it; a hot pixel has none
@@ -124,9 +126,21 @@ def _bodies(
         chosen[0] = False
         body = chosen[labels] | up
         wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BODY_MARGIN_PX + 1,) * 2)
-        body = cv2.dilate(body.astype(np.uint8), wide) > 0
+        body = cv2.dilate(_with_night_side(body), wide) > 0
     covered: BoolArray = body
     return covered
+
+
+def _with_night_side(body: BoolArray) -> NDArray[np.uint8]:
+    """Lit areas with the discs that they are of: sunlit peaks stand beyond a terminator."""
+    found = body.astype(np.uint8)
+    contours, _ = cv2.findContours(found, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    for contour in contours:
+        (x, y), radius = cv2.minEnclosingCircle(contour)
+        # a rod of the ship is part of no disc
+        if cv2.contourArea(contour) > MIN_LIT_SHARE * np.pi * radius**2:
+            cv2.circle(found, (round(x), round(y)), round(radius), 1, -1)
+    return np.asarray(found, np.uint8)
 
 
 def _touches(body: BoolArray, x: int, y: int, shape: tuple[int, ...]) -> bool:

@@ -171,3 +171,19 @@ def test_a_real_frame_is_solved_to_four_arc_seconds():
     assert np.sqrt(np.diag(fix.covariance))[:2].max() / ARCSEC < 3.0
     axis = fix.camera_from_sky.inv().apply((0.0, 0.0, 1.0))
     assert np.degrees(np.arcsin(axis[2])) == pytest.approx(64.225, abs=0.01)
+
+
+def test_sunlit_peaks_beyond_a_terminator_are_no_stars():
+    """Half a disc, and bright specks on its night side: brighter than all stars."""
+    picture = drawn_sky(turned(84.0, -1.0, 20.0))
+    rows, cols = np.mgrid[: picture.shape[0], : picture.shape[1]]
+    disc = np.hypot(cols - 150, rows - 330) < 90
+    picture[disc & (cols < 150)] = 60_000.0
+    plain = len(find_spots(picture, 65535.0))
+    for number, row in enumerate(range(260, 400, 12)):
+        x, y = 160 + 7 * (number % 4), row
+        square = (cols - x) ** 2 + (rows - y) ** 2
+        picture += (9000.0 * np.exp(-0.5 * square)).astype(np.float32)
+    spots = find_spots(picture, 65535.0)
+    assert len(spots) == plain
+    assert (np.hypot(spots.pixels[:, 0] - 150, spots.pixels[:, 1] - 330) > 90).all()

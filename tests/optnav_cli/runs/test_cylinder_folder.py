@@ -57,11 +57,12 @@ def test_a_circling_craft_is_followed(pictures: Path, tmp_path: Path) -> None:
 
 
 def test_zones_are_shaded_in_the_plots(tmp_path: Path) -> None:
-    lines = ["file,utc,status,zone,d_m,d_sigma_m,theta_deg,theta_sigma_deg"]
-    for number, (zone, theta) in enumerate((("ok", 20), ("full_face", 3), ("glare", 175))):
-        time = f"2026-01-01T00:00:{2 * number:02d}Z"
-        lines.append(f"{number}.png,{time},solved,{zone},1.2,0.001,{theta},0.1")
-    (tmp_path / "cylinder.csv").write_text("\n".join(lines) + "\n")
+    rows = [
+        {"file": f"{number}.png", "utc": f"2026-01-01T00:00:0{2 * number}Z", "status": "solved"}
+        | {"zone": zone, "d_m": 1.2, "theta_deg": theta}
+        for number, (zone, theta) in enumerate((("ok", 20), ("full_face", 3), ("glare", 175)))
+    ]
+    CYLINDER.write(tmp_path / "cylinder.csv", rows)
     drawn = cylinder_sheet(tmp_path, 0.14)
     for series in ("s3", "s4"):  # over time in two plots, about the axis in the third
         assert drawn.count(f'class="area {series} band"') == 3
