@@ -178,8 +178,10 @@ def _ways(study: _Study) -> list[tuple[Cell, ...]]:
     add("circles, points moved to the tangent plane", few, circles, "", "1.3 / 4.5", "")
     circles = [_circles(t, "tangent") for t in many]
     add("circles, points moved to the tangent plane", many, circles, "", "", "")
+    circles = [_circles(t, "map") for t in exact]
+    add("circles by a map of latitude, longitude, exact points", exact, circles, "", "4 / 16", "")
     circles = [_circles(t, "flat") for t in exact]
-    add("circles on a flat map, exact points", exact, circles, "", "4 / 16", "")
+    add("circles on a flat map of east, north, exact points", exact, circles, "", "", "")
     circles = [_circles(t, "tangent") for t in exact]
     add("circles on the tangent plane, exact points", exact, circles, "", "", "")
     add("tori of the three widest points", many, [_tori(t) for t in many], "", "", "")

@@ -20,7 +20,15 @@ from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.studies import apollo
-from tests.golden import documents, flights, orbits, pictures, sketch, values
+from tests.golden import (
+    documents,
+    flights,
+    orbits,
+    picked_stars_cylinder,
+    pictures,
+    sketch,
+    values,
+)
 
 HERE = Path(__file__).resolve().parent
 README = HERE / "readme"
@@ -38,6 +46,7 @@ CURVES = ("arc", "resection", "matching")  # studies
 @click.option("--flights/--no-flights", "flown", default=True, help="Make the flights' pictures.")
 @click.option("--designs/--no-designs", "designed", default=True, help="Orbits' pictures.")
 @click.option("--fit/--no-fit", "fitted", default=True, help="The picture of an orbit's fit.")
+@click.option("--others/--no-others", "others", default=True, help="Points, stars, cylinder.")
 @click.option("--hazard/--no-hazard", "landed", default=True, help="Make the hazard map.")
 @click.option(
     "--work",
@@ -52,6 +61,7 @@ def main(
     flown: bool,
     designed: bool,
     fitted: bool,
+    others: bool,
     landed: bool,
     work: Path,
 ) -> None:
@@ -79,6 +89,7 @@ def main(
             _told(path)
     made = [*(orbits.designs(work, README) if designed else ())]
     made += [orbits.through_fixes(work, README)] if fitted else []
+    made += [*(picked_stars_cylinder.drawn(work, README) if others else ())]
     for path, caption in made:
         captions[path.stem] = caption
         _told(path)

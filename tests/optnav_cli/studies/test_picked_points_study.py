@@ -26,7 +26,7 @@ def test_the_air_bends_sights_as_the_closed_formula_says():
 def test_a_short_study_has_all_its_rows():
     figures = points.run(SilentProgress(), trials=5)
     text = points.report(figures).to_text()
-    assert "circles on a flat map" in text
+    assert "circles by a map of latitude, longitude" in text
     assert "<svg" in points.picture(figures)
     by_count = {row[0]: float(row[1]) for row in figures.numbers}
     assert by_count[100] < by_count[5]
