@@ -50,7 +50,7 @@ START_GAP, MAX_STARTS, GOOD_MISFIT = math.radians(12.0), 6, 0.6
 UNLIKELY = 3.0
 NEARBY = np.radians([-3.0, 3.0, -6.0, 6.0, -10.0, 10.0])
 LIMB_PX = 2.5  # columns so near to a limb give no height
-MAX_MISFIT = 12.0  # of residuals in units of their errors, rms: no lit cylinder
+MAX_MISFIT = 2.0  # of residuals in units of their errors, rms: no lit cylinder
 MAX_HEIGHT_MISFIT = 0.03  # of the height, rms: no cylinder, or not upright
 NARROWEST = math.log(math.radians(0.25))  # a source of less looks the same, whatever it is
 MAX_STEPS, SETTLED = 80, 1e-2  # of the fit, and the fall of its cost that ends it
@@ -202,7 +202,8 @@ def fit_cylinder(profile: CylinderProfile, lens: IdealLens, size: CylinderSize) 
     ]
     best: Estimate[FloatArray] | None = None
     failure = UNSETTLED.error()
-    for number, start in enumerate(_starts(profile, brightness, lens, size)):
+    starts = _starts(profile, brightness, lens, size)
+    for number, start in enumerate(starts):
         if number >= 2 and best is not None and _misfit(best) < GOOD_MISFIT:
             break
         try:
@@ -212,26 +213,29 @@ def fit_cylinder(profile: CylinderProfile, lens: IdealLens, size: CylinderSize) 
             continue
         if best is None or estimate.cost < best.cost:
             best = estimate
+    if starts and (best is None or _misfit(best) > GOOD_MISFIT):
+        best = _refined(brightness, others, starts[0], best, size)
     if best is None:
         raise failure
     if best.terms[1].cost > UNLIKELY:
-        best = _refined(brightness, others, best, size)
+        best = _refined(brightness, others, best.state, best, size) or best
     return _checked(best, brightness, profile, size)
 
 
 def _refined(
     brightness: ProfileModel,
     others: Sequence[Model[FloatArray]],
-    best: Estimate[FloatArray],
+    near: FloatArray,
+    best: Estimate[FloatArray] | None,
     size: CylinderSize,
-) -> Estimate[FloatArray]:
-    """The best of a fit and of others that begin near it with the usual cloth and lamp.
+) -> Estimate[FloatArray] | None:
+    """The best of a fit and of others that begin near a state with the usual cloth and lamp.
 
     Cloth of an unlikely kind under a light some degrees off draws nearly the same profile: a
     minimum of its own beside the true one.
     """
     for off in NEARBY:
-        place = [*best.state[:THETA], best.state[THETA] + off, *WIDTHS]
+        place = [*near[:THETA], near[THETA] + off, *WIDTHS]
         _, start = brightness.started(np.array(place))
         if start.size == LINEAR:
             continue
@@ -239,7 +243,7 @@ def _refined(
             tried = _settled(brightness, others, start, 1.02 * size.radius_m)
         except NoSolutionError:
             continue
-        if tried.cost < best.cost:
+        if best is None or tried.cost < best.cost:
             best = tried
     return best
 

@@ -13,6 +13,7 @@ from catalog.config import load_toml, resource
 
 FILE = "configs/models/cylinder.toml"
 GRAZING_DEG, GRAZING_SPAN_DEG = 90.0, 47.0  # from where on light grazes, and to where sizes are of
+CRESCENT_DEG, CRESCENT_SPAN_DEG = 145.0, 10.0  # from where on a few pixels are lit, and hardly so
 Size = Annotated[float, Meta(ge=0.0, le=100.0)]
 
 
@@ -23,6 +24,7 @@ class CylinderErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     theta_grazing_deg: Size
     distance_radii: Size
     distance_grazing_radii: Size
+    theta_crescent_deg: Size
     alike_deg: Annotated[float, Meta(gt=0.0, le=360.0)]
 
     def likeness(self, thetas: FloatArray) -> FloatArray:
@@ -35,7 +37,9 @@ class CylinderErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True
         """Of the distance, m², and of theta, rad², at an angle of the light, rad."""
         grazing = grazing_of(theta)
         radii = self.distance_radii**2 + (self.distance_grazing_radii * grazing) ** 2
+        thin = max(math.degrees(abs(theta)) - CRESCENT_DEG, 0.0) / CRESCENT_SPAN_DEG
         degrees = self.theta_deg**2 + (self.theta_grazing_deg * grazing) ** 2
+        degrees += (self.theta_crescent_deg * thin) ** 2
         return radii * radius_m**2, degrees * math.radians(1.0) ** 2
 
 

@@ -32,7 +32,7 @@ from optnav_cli.measurements.cylinder import (
 )
 from optnav_cli.measurements.cylinder_fit import CylinderFit, IdealLens, fit_cylinder
 from optnav_cli.measurements.cylinder_profile import measure_profile, seed_extent
-from optnav_cli.measurements.cylinder_sizes import cylinder_sizes
+from optnav_cli.measurements.cylinder_sizes import CRESCENT_DEG, cylinder_sizes
 from optnav_cli.output.cylinder_overlay import cylinder_overlay
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
@@ -146,6 +146,8 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
         else:
             fit = fit_cylinder(profile, lens, size)
             row = _row(frame, fit, profile.cut, camera, settings)
+            if row.zone == "cut" and _is_dazzled(values, picture.saturation):
+                fit, row = None, _unsolved(frame, values, picture.saturation, row.reason)
     except NoSolutionError as error:
         row = _unsolved(frame, values, picture.saturation, str(error))
     words = "unsolved" if row.d_m is None else f"d {row.d_m:.4f} m, theta {row.theta_deg:.2f} deg"
@@ -154,11 +156,16 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
     return row
 
 
+def _is_dazzled(values: Float32Array, saturation: float | None) -> bool:
+    """Whether many pixels are at full scale, as where the source or its flare is in view."""
+    return saturation is not None and float((values >= saturation).mean()) > GLARE_SHARE
+
+
 def _unsolved(
     frame: Frame, values: Float32Array, saturation: float | None, reason: str
 ) -> CylinderRow:
     """The row of a picture without a number; full pixels mean that the source is in view."""
-    full = saturation is not None and float((values >= saturation).mean()) > GLARE_SHARE
+    full = _is_dazzled(values, saturation)
     if full:
         reason = f"the source of light or its flare is in view; {reason}"
     return CylinderRow(frame, "glare" if full else "", reason=reason)
@@ -208,7 +215,8 @@ def zone_of(
     left, right = lit_edges(fit.theta, radius, fit.distance_m)
     width = lens.focal_x_px * (math.tan(fit.bearing + right) - math.tan(fit.bearing + left))
     sigma_deg = math.degrees(math.sqrt(fit.covariance[2, 2]))
-    return "crescent" if width < CRESCENT_PX or sigma_deg > CRESCENT_SIGMA_DEG else "ok"
+    thin = width < CRESCENT_PX or abs(fit.theta) > math.radians(CRESCENT_DEG)
+    return "crescent" if thin or sigma_deg > CRESCENT_SIGMA_DEG else "ok"
 
 
 def ideal_lens(camera: Camera) -> IdealLens:

@@ -164,6 +164,7 @@ def fitted_sizes(trials: FloatArray) -> CylinderErrorSizes:
         distance_grazing_radii=sizes[1],
         theta_deg=sizes[2],
         theta_grazing_deg=sizes[3],
+        theta_crescent_deg=present.theta_crescent_deg,
         alike_deg=present.alike_deg,
     )
 

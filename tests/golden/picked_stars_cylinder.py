@@ -31,8 +31,8 @@ def drawn(work: Path, readme: Path) -> Iterator[tuple[Path, str]]:
         raise FileNotFoundError(f"{attitudes}: no overlay of {STAR_FRAME}")
     height, width = overlay.shape[:2]
     small = resized(np.asarray(overlay, np.uint8), shrink_factor(width, height, STARS_PX))
-    sketch.write(small, readme / "stars.png")
-    yield readme / "stars.png", _stars(attitudes)
+    sketch.write(small, readme / "stars.jpg")
+    yield readme / "stars.jpg", _stars(attitudes)
     lamp, run = work / "lamp", work / "lamp-run"
     optnav("simulate", "bundled:cylinder_circle", "-o", str(lamp))
     optnav("cylinder", str(lamp), "-o", str(run))

@@ -39,6 +39,7 @@ def test_sizes_that_errors_were_drawn_with_are_found_again() -> None:
         theta_grazing_deg=1.5,
         distance_radii=0.002,
         distance_grazing_radii=0.01,
+        theta_crescent_deg=0.0,
         alike_deg=150.0,
     )
     theta = rng.uniform(5.0, 145.0, 4000)
