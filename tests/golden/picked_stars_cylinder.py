@@ -79,7 +79,7 @@ def _cylinder(pictures: Path, folder: Path) -> str:
         theta_off.append((off + 180.0) % 360.0 - 180.0)
     d_mm, theta = 1e3 * np.abs(d_off).max(), np.abs(theta_off).max()
     return (
-        f"A craft that circles a lit cylinder: {len(d_off)} of {len(rows)} pictures outside the "
-        f"glare give the distance to {d_mm:.1f} mm and the angle of the light to {theta:.1f}° at "
-        "worst. Zones other than ok are shaded."
+        f"A craft that circles a lit cylinder: {len(d_off)} of {len(rows)} pictures, those in the "
+        f"glare left out, give the distance to {d_mm:.1f} mm and the angle of the light to "
+        f"{theta:.1f}° at worst. Zones other than ok are shaded."
     )
