@@ -93,6 +93,7 @@ def load_orbit(path: Path) -> object:
 def load_model(path: Path) -> object:
     from catalog.terrain.error_model import TerrainLaws
     from optnav_cli.hazard.model import HazardModel
+    from optnav_cli.measurements.cylinder_sizes import CylinderErrorSizes
     from optnav_cli.measurements.disc.size import DiscErrorSizes
     from optnav_cli.navigation.control_points.acceptance import AcceptanceLimits
     from optnav_cli.navigation.control_points.error_model import PointErrorSizes
@@ -106,6 +107,7 @@ def load_model(path: Path) -> object:
         "terrain": TerrainLaws,
         "control_points": PointErrorSizes,
         "descent": DescentErrorSizes,
+        "cylinder": CylinderErrorSizes,
         "disc": DiscErrorSizes,
         "silhouette": SilhouetteErrors,
         "hazard": HazardModel,
