@@ -377,7 +377,7 @@ class DescentNavigator:
         free.filter.jumped(3.0 * away, 0.0)
         made = _joined(free, frame, stated, found, [])
         agreeing = sum(made.used.values())
-        if agreeing < max(MIN_FIRST, len(found) // 2):
+        if agreeing < max(MIN_FIRST, len(found) // 2 + 1):
             text = f"{agreeing} of {len(found)} windows agree with each other"
             raise NoSolutionError(text, ReasonCode.POINTS_DISAGREE)
         text = (
@@ -412,6 +412,8 @@ def _joined(
         if new:
             joined.join_windows([each.error(state.sizes, scale) for each in grounds], places_m)
         update = joined.update(frame.camera, stated, seen)
+        if 2 * int(update.used[: len(found)].sum()) < len(found):
+            break  # a track that jumped or wrong matches, not windows that scatter
         joined.spread = state.spread.with_windows(update.squares[new], scale)
         if joined.spread.scale <= MIN_GROWTH * scale or scale > state.spread.scale:
             break
