@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from catalog.arrays import FloatArray
-from catalog.geometry.vectors import unit
+from catalog.geometry.vectors import perpendicular_basis, unit
 from optnav_cli.fix import MatchKind, MatchRow, Solution
 from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.report.page import figure, side_by_side
@@ -122,8 +122,7 @@ def _ellipse(frame: PickedFrame) -> Panel:
     sight = np.mean([point.cp_position_m for point in frame.points], axis=0) - frame.position_m
     level = sight - (sight @ up) * up
     if not np.linalg.norm(level) > 1e-6 * np.linalg.norm(sight):  # straight down
-        axis = np.eye(3)[int(np.argmin(np.abs(up)))]
-        level = axis - (axis @ up) * up
+        level, _ = perpendicular_basis(up)
     plane = np.array([unit(level), up])
     values, vectors = np.linalg.eigh(plane @ frame.covariance_m2 @ plane.T)
     angle = np.linspace(0.0, 2.0 * np.pi, 73)
