@@ -97,8 +97,7 @@ def test_the_curves_of_the_readme_are_small_drawings():
 
 
 def test_the_command_that_makes_them_anew_starts():
-    parts = ("values", "pictures", "curves", "flights", "designs", "fit", "hazard")
-    nothing = [f"--no-{part}" for part in parts]
+    nothing = [option.secondary_opts[0] for option in main.params if option.secondary_opts]
     result = CliRunner().invoke(main, nothing)
     assert (result.exit_code, result.output) == (0, "")
 
