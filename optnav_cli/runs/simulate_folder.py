@@ -11,7 +11,7 @@ import msgspec
 import numba
 
 from catalog.config import resource
-from catalog.errors import OutputError
+from catalog.errors import ConfigError, OutputError
 from catalog.files import hash_file, replacing_folder
 from catalog.jobs.cluster import check_address, cluster_workers
 from catalog.jobs.usage import StageAccount
@@ -76,8 +76,9 @@ def simulate_folder(
         terrain = [*(Path(dem.path).name for dem in scenario.dem), Path(scenario.globe.path).name]
         try:
             with replacing_folder(pictures, KIND) as place:
-                _take(simulation, results, crew, place, progress)
+                # first, as a model of the ground can be refused
                 simulation.write_tables(place)
+                _take(simulation, results, crew, place, progress)
                 write_manifest(
                     place,
                     KIND,
@@ -88,6 +89,10 @@ def simulate_folder(
                     started=started,
                     key=key,
                 )
+        except ConfigError:
+            # the scenario must change, and nothing that was kept is for another one
+            workspace.keep_only(STAGE, set())
+            raise
         finally:
             crew.close()
 

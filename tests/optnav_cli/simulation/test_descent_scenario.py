@@ -174,6 +174,13 @@ def test_a_model_coarser_than_the_ground_is_refused() -> None:
         surveyed_model(ModelSettings(posting_m=100.0), SMALL, MOON.body, flight)
 
 
+def test_a_model_of_too_much_ground_is_refused_before_the_pictures(tmp_path: Path) -> None:
+    wide = msgspec.structs.replace(SMALL, model=ModelSettings(posting_m=30.0, margin_km=1e3))
+    with pytest.raises(ConfigError, match="nodes are possible"):
+        simulate(wide, tmp_path / "pictures", workers=1)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     "line", ["position_sigma_m = -300.0", "velocity = 0.8", "position_sigma_m = nan"]
 )
