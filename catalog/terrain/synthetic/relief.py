@@ -17,6 +17,10 @@ from catalog.geometry.latlon import Lattice, wrap_longitude, xyz_from_latlon
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.terrain.synthetic import craters, fractal
 
+# Craters below this share of a node's cell are left out: a crater holds no net height, and their
+# number, 1 / D^2, would fill the memory where a small smallest_m meets a wide ground.
+CELL_SHARE = 0.25
+
 
 @dataclass(frozen=True)
 class SyntheticRelief:
@@ -81,6 +85,8 @@ class SyntheticRelief:
     ) -> Float32Array:
         """Heights to add on a regular grid of latitudes and longitudes, means over a node's cell.
 
+        Craters smaller than a quarter of a cell are left out.
+
         north, west         rad  the first node; rows run south, columns east
         step_lat, step_lon  rad  positive
         Returns (rows, cols) float32, m. The grid must keep a few nodes away from the poles.
@@ -90,7 +96,7 @@ class SyntheticRelief:
         lon = west + step_lon * np.arange(cols, dtype=np.float64)
         posting = self.radius_m * step_lat
         fractal.add_noise_window(out, self._resolved(posting), lat, lon)
-        table = self._craters(lat[-1], west, lat[0], step_lon * (cols - 1))
+        table = self._craters(posting, lat[-1], west, lat[0], step_lon * (cols - 1))
         row = (north - table[:, craters.LAT]) / step_lat
         # a crater's longitude is brought next to the window's middle, so that ±180° is no border
         middle = west + 0.5 * step_lon * (cols - 1)
@@ -113,7 +119,7 @@ class SyntheticRelief:
         noise = self._resolved(posting)
         if noise.spacing.size:
             fractal.add_noise_turned(out, noise, lat, lon, body_from_grid)
-        octaves = min(self._octaves, int(np.floor(np.log2(self.largest_m / posting) + 1e-6)))
+        octaves = min(self._octaves, self._octaves_above(posting))
         if octaves < 1:
             return out
         table = craters.crater_table(
@@ -148,7 +154,7 @@ class SyntheticRelief:
         over_pole = abs(projection.lat) + size * posting_m / self.radius_m >= 0.5 * np.pi
         west, width = (-np.pi, 2.0 * np.pi) if over_pole else (float(lon.min()), float(np.ptp(lon)))
         table = self._craters(
-            float(lat.min()), west + projection.lon, float(lat.max()), width, over_pole
+            posting_m, float(lat.min()), west + projection.lon, float(lat.max()), width, over_pole
         )
         cx, cy = projection.xy_from_latlon(table[:, craters.LAT], table[:, craters.LON])
         middle = (size - 1) / 2.0
@@ -159,11 +165,22 @@ class SyntheticRelief:
         return out
 
     def _craters(
-        self, south: float, west: float, north: float, width: float, over_pole: bool = False
+        self,
+        posting_m: float,
+        south: float,
+        west: float,
+        north: float,
+        width: float,
+        over_pole: bool = False,
     ) -> FloatArray:
         if over_pole:
             south, north = (south, 0.5 * np.pi) if north > 0.0 else (-0.5 * np.pi, north)
-        return craters.crater_table(self._population(self._octaves), south, west, north, width)
+        octaves = min(self._octaves, self._octaves_above(CELL_SHARE * posting_m))
+        return craters.crater_table(self._population(octaves), south, west, north, width)
+
+    def _octaves_above(self, diameter_m: float) -> int:
+        """Octaves of craters that are all at least so large."""
+        return max(0, int(np.floor(np.log2(self.largest_m / diameter_m) + 1e-6)))
 
     def _population(self, octaves: int) -> craters.Population:
         return craters.Population(

@@ -66,6 +66,15 @@ def test_a_map_grid_shows_the_ground_of_the_points(lat_deg: float, lon_deg: floa
     assert np.std(grid - points) < 0.1
 
 
+def test_craters_far_below_a_node_are_left_out_instead_of_filling_the_memory():
+    """Craters down to 1 cm over 36 km would be 1e13."""
+    settings = {"rms_slope_deg": 0.01, "saturation": 0.05}
+    fine, coarse = detail(smallest_m=0.01, **settings), detail(smallest_m=7.403, **settings)
+    grids = [window(ground, -43.0, -11.0, 300) for ground in (fine, coarse)]
+    assert grids[1].std() > 1.0
+    assert np.abs(grids[0] - grids[1]).max() < 0.05 * grids[1].std()
+
+
 def test_points_on_both_sides_of_180_degrees_join():
     ground = detail()
     lat = np.radians(np.linspace(-1.0, 1.0, 50))
