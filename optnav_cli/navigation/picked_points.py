@@ -214,8 +214,9 @@ class _FrameOfPoints:
             raise self._mirrored(problem)
         rival = problem.rival_of(found)
         if rival is not None and is_before(rival.pose, problem.points.places_m).all():
-            chosen = self._decided([found, rival])
+            chosen = problem.with_all_leans(self._decided([found, rival]))
             return chosen, Reason(ReasonCode.DEGENERATE, "the prior decides between two places")
+        found = problem.with_all_leans(found)
         if found.freedom <= 2 and problem.attitude is None:
             text = "4 points leave little to check: a blunder moves the position unseen"
             return found, Reason(ReasonCode.FEW_POINTS, text)

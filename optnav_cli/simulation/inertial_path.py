@@ -1,8 +1,9 @@
 """Real paths: an orbit about a body in inertial space, and the approach to one from far away.
 
 The body turns under the path by its motion (theory or SPICE kernels), the Sun stands where it does
-at the date. Gravity is that of the navigator's predictions (point mass, J2, C22, tides); what those
-leave out is added to a [flight] as noise of its known size, so that no prediction is exact.
+at the date. Gravity is that of the navigator's predictions (point mass, J2, C22, tides), or of a
+[flight] that of more degrees; what those leave out is added to a [flight] as noise of its known
+size, so that no prediction is exact.
 """
 
 from typing import Annotated, Self
@@ -17,6 +18,7 @@ from catalog.bodies.epochs import tdb_s_after, utc_to_tdb_s
 from catalog.config import Count, Seconds, Turn
 from catalog.errors import ConfigError
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
+from optnav_cli.dynamics.orbit_settings import Degrees, ForcesSettings
 from optnav_cli.simulation.exposure import ROUGHNESS, Epoch
 from optnav_cli.simulation.scenario_base import ScenarioBase
 from optnav_cli.simulation.sections import Distance, Inclination
@@ -35,7 +37,8 @@ class FlightSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     node_deg               longitude on the body of the ascending node at the start
     lowest_at_deg          from the node to the lowest point, along the flight
     start_at_deg           from the node to where the first picture is taken
-    rough_gravity          also what the force model leaves out, of its known size, by the seed
+    degree                 of its gravity: 2, as the navigator predicts; orbits are fitted with 50
+    rough_gravity          also what this degree leaves out, of its known size, by the seed
     """
 
     lowest_km: Distance
@@ -47,6 +50,7 @@ class FlightSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     start_utc: str = "2026-01-01T00:00:00Z"
     frames: Count = 1
     spacing_s: Seconds = 60.0
+    degree: Degrees = 2
     rough_gravity: bool = True
 
 
@@ -149,7 +153,7 @@ def flight_states(flight: FlightSettings, motion: Ephemeris, seed: int) -> State
     anomaly = np.radians(flight.start_at_deg - flight.lowest_at_deg)
     place, velocity = _on_conic(body.gm_m3_s2, low, speed, anomaly)
     state = np.concatenate([frame @ place, frame @ velocity])
-    orbit = OrbitMotion(Forces(motion))
+    orbit = OrbitMotion(Forces(motion, ForcesSettings(degree=flight.degree)))
     if not flight.rough_gravity:
         return times, orbit.propagate(state, start, times)[0]
     states = [state]

@@ -22,6 +22,9 @@ from optnav_cli.reasons import ReasonCode
 class ProjectingCamera(Protocol):
     """What resection needs of a camera."""
 
+    def project(self, points: FloatArray) -> FloatArray:
+        """Pixels (..., 2) of camera-frame points (..., 3); NaN for those out of view."""
+
     def project_with_jacobian(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (n, 2) of camera-frame points (n, 3), and d pixel / d point (n, 2, 3)."""
 

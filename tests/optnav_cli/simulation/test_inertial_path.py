@@ -11,8 +11,10 @@ from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
+from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.truth import read_truth
+from optnav_cli.orbit.settings import OrbitFitSettings
 from optnav_cli.simulation.exposure import Exposure
 from optnav_cli.simulation.inertial_path import InertialPath, flight_states, transfer_states
 from optnav_cli.simulation.scenario import load_scenario, scenario_motion
@@ -107,6 +109,20 @@ def test_rough_gravity_moves_a_flight_by_its_known_size(flight_file: Path):
     assert np.std(drift) > 1.0
     again = flight_states(flight, motion, 2)[1]
     np.testing.assert_array_equal(again, flight_states(flight, motion, 2)[1])
+
+
+def test_a_flight_of_more_degrees_is_moved_by_the_field_of_orbit_fits(flight_file: Path):
+    """Half an hour with J2 and C22 alone ends hundreds of metres beside."""
+    flight = msgspec.structs.replace(
+        voyage(flight_file).flight, rough_gravity=False, frames=4, degree=50
+    )
+    motion = AnalyticEphemeris(MOON)
+    times, states = flight_states(flight, motion, 1)
+    fitted = OrbitMotion(Forces(motion, OrbitFitSettings().forces))
+    ahead = fitted.propagate(states[0], times[0], times[-1:])[0][0]
+    assert np.linalg.norm(ahead[:3] - states[-1, :3]) < 0.01
+    coarse = flight_states(msgspec.structs.replace(flight, degree=2), motion, 1)[1]
+    assert np.linalg.norm(coarse[-1, :3] - states[-1, :3]) > 100.0
 
 
 def test_a_transfer_comes_from_afar_to_the_lowest_point():
