@@ -1,8 +1,9 @@
 """Check: certify the places of each cell and take the best one that passes."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +20,7 @@ from catalog.rasters import held_settings
 from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.localisation import uniqueness_margin
+from catalog.selection.trial import Outcome
 from catalog.store.records import rounded_point
 from catalog.terrain.skyline.local import skyline_limits_deg
 
@@ -52,37 +54,51 @@ class Certificate:
         # elsewhere what overhangs has no height, so that much of it counts as holes
         self._fatal = FATAL | Flag.OVERHANG if context.mosaic.own_planes else FATAL
         self._projection = context.projection(place.lat_deg, place.lon_deg)
-        self._patches = context.patches(place.lat_deg, place.lon_deg)
-        self._beyond = context.beyond(self._projection)
-        self._outcomes = outcomes_at(
-            context,
+        self._seed = [record.cell, number]
+        self._known = self._examined()
+
+    @cached_property
+    def _patches(self) -> tuple[Patch, ...]:
+        """Of the place, finest first; cut for places that are looked at."""
+        return self._context.patches(self.place.lat_deg, self.place.lon_deg)
+
+    @cached_property
+    def _beyond(self) -> tuple[Patch, ...]:
+        """Ground beyond the coarsest patch that throws shadows in."""
+        return self._context.beyond(self._projection)
+
+    @cached_property
+    def _outcomes(self) -> Iterator[Outcome]:
+        """Of the trials that are still to be run."""
+        return outcomes_at(
+            self._context,
             self._patches,
-            place.lat_deg,
-            place.lon_deg,
-            seed=[record.cell, number],
-            relief_seed=record.cell,
+            self.place.lat_deg,
+            self.place.lon_deg,
+            seed=self._seed,
+            relief_seed=self.cell,
             trials=self.settings.trials,
         )
-        self._known = self._examined()
 
     def _examined(self) -> Flag:
         """What the patches tell by themselves; sets the shadow limits."""
-        settings, place, patches = self.settings, self.place, self._patches
+        settings, place, context = self.settings, self.place, self._context
         flags = Flag.NONE
-        fine = [np.isnan(patch.heights_m).mean() for patch in patches[: cell_map.FINE_LEVELS]]
-        if max(fine) > cell_map.MAX_MISSING:
-            flags |= Flag.NO_DATA
+        # of a whole raster no patch has a hole; a mesh may overhang
+        if not (context.mosaic.whole and context.mosaic.has_graticules):
+            fine = self._patches[: cell_map.FINE_LEVELS]
+            if max(np.isnan(patch.heights_m).mean() for patch in fine) > cell_map.MAX_MISSING:
+                flags |= Flag.NO_DATA
         if not place.localisation_nodes <= settings.max_localisation_nodes:
             flags |= Flag.FLAT
         if self.spacing < 1.0:
             flags |= Flag.CROWDED
-        context = self._context
         if context.mosaic.overhangs(self._projection, context.posting_m, context.size):
             flags |= Flag.OVERHANG
         if flags & self._fatal:
             return flags
         self.shadow_limits_deg = skyline_limits_deg(
-            [(patch.heights_m, patch.posting_m) for patch in (*patches, *self._beyond)],
+            [(patch.heights_m, patch.posting_m) for patch in (*self._patches, *self._beyond)],
             0,
             self._projection.radius_m,
         )

@@ -279,14 +279,15 @@ def sample_level(
         pixels = pixels._replace(col=pixels.col - np.floor((pixels.col + 0.5) / period) * period)
     if not out.size:
         return out
-    chosen = np.arange(out.size)
-    extent = _extent(*pixels, chosen)
+    extent = _whole_extent(*pixels)
     if size and _inside(base, extent) and _along_rows(base, pixels, extent, rows_wide, size, out):
         chosen = np.flatnonzero(np.isnan(out))  # beside holes
         if not chosen.size:
             return out
         extent = _extent(*pixels, chosen)
-    if not _inside(base, extent):
+    elif _inside(base, extent):
+        chosen = np.arange(out.size)
+    else:
         chosen = np.flatnonzero(_inside_each(base, pixels, rows_wide))
         if not chosen.size:
             return out
@@ -405,6 +406,25 @@ def _through_window(
         *_through(level, rows_wide, extent, row0, col0),
         out,
     )
+
+
+@kernel
+def _range(values: FloatArray) -> tuple[float, float]:
+    """Least and greatest of values (n); NaN does not count, but for a first one."""
+    lanes = 64  # side by side, so that comparisons need not wait for each other
+    low, high = np.full(lanes, values[0]), np.full(lanes, values[0])
+    for begin in range(0, values.size, lanes):
+        part = values[begin : begin + lanes]
+        for j in range(part.size):
+            low[j] = part[j] if part[j] < low[j] else low[j]
+            high[j] = part[j] if part[j] > high[j] else high[j]
+    return low.min(), high.max()
+
+
+@kernel
+def _whole_extent(row: FloatArray, col: FloatArray, column_scale: FloatArray) -> Extent:
+    """`_extent` of all points."""
+    return (*_range(row), *_range(col), *_range(column_scale))
 
 
 @kernel

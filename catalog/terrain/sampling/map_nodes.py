@@ -171,29 +171,27 @@ def _cylindrical(
 def _between(nodes: FloatArray, size: int, weights: FloatArray, places: FloatArray) -> None:
     """All nodes from every `len(weights)`th, whose first lies one such step outside the grid."""
     step, n = weights.shape[0], nodes.shape[1]
-    line = np.empty((3, n))
-    for i in range(size):
-        a, w = i // step, weights[i % step]
-        for k in range(3):
+    # weights by number, so that a step's places are worked out side by side
+    first, second = weights[:, 0].copy(), weights[:, 1].copy()
+    third, fourth = weights[:, 2].copy(), weights[:, 3].copy()
+    line = np.empty(n)
+    for k in range(3):
+        for i in range(size):
+            a, w = i // step, weights[i % step]
+            above, upper, lower, below = (
+                nodes[k, a],
+                nodes[k, a + 1],
+                nodes[k, a + 2],
+                nodes[k, a + 3],
+            )
             for b in range(n):
-                line[k, b] = (
-                    w[0] * nodes[k, a, b]
-                    + w[1] * nodes[k, a + 1, b]
-                    + w[2] * nodes[k, a + 2, b]
-                    + w[3] * nodes[k, a + 3, b]
-                )
-        for b in range(n - 3):
-            start = b * step
-            for s in range(min(step, size - start)):
-                w0, w1, w2, w3 = weights[s, 0], weights[s, 1], weights[s, 2], weights[s, 3]
-                at = i * size + start + s
-                for k in range(3):
-                    places[k, at] = (
-                        w0 * line[k, b]
-                        + w1 * line[k, b + 1]
-                        + w2 * line[k, b + 2]
-                        + w3 * line[k, b + 3]
-                    )
+                line[b] = w[0] * above[b] + w[1] * upper[b] + w[2] * lower[b] + w[3] * below[b]
+            row = places[k, i * size : (i + 1) * size]
+            for b in range(n - 3):
+                part = row[b * step : (b + 1) * step]
+                v0, v1, v2, v3 = line[b], line[b + 1], line[b + 2], line[b + 3]
+                for s in range(part.size):
+                    part[s] = first[s] * v0 + second[s] * v1 + third[s] * v2 + fourth[s] * v3
 
 
 @kernel
