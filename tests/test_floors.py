@@ -3,6 +3,7 @@
 import ast
 import graphlib
 from collections.abc import Iterator
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -159,3 +160,11 @@ def test_files_of_one_folder_may_import_each_other(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     (folder / "a.py").write_text("from catalog.terrain.b import c\nfrom . import d\n")
     assert faults(tmp_path) == []
+
+
+def test_pytest_enters_every_folder_of_tests(pytestconfig: pytest.Config):
+    """Its own list of folders to skip has `build` and `dist` in it."""
+    skipped = pytestconfig.getini("norecursedirs")
+    folders = {path.parent for path in (CHECKOUT / "tests").rglob("test_*.py")}
+    names = {part for folder in folders for part in folder.relative_to(CHECKOUT).parts}
+    assert not [name for name in names if any(fnmatch(name, skip) for skip in skipped)]
