@@ -279,6 +279,18 @@ def test_a_check_that_none_can_pass_leaves_points_with_their_flags_up(mosaic, se
         assert all(record.flags & flag for record in found)
 
 
+def test_a_flat_place_of_a_whole_model_is_refused_without_patches(tmp_path, selected, monkeypatch):
+    dem = DemSettings(path=str(resource("data/moon_gld100_4ppd.tif")))
+    whole = Mosaic.from_files([dem], tmp_path, load_body("moon"), tmp_path)
+    strict = CheckSettings(max_localisation_nodes=1e-6)
+    context = context_of(whole, posting_m=whole.posting_m, check=strict)
+    monkeypatch.setattr(StageContext, "patches", lambda *_: pytest.fail("patches were cut"))
+    place = check.Certificate(context, selected[0], selected[0].places[0], 0)
+    place.try_for(0)
+    assert place.flags & Flag.FLAT
+    assert (place.trials, place.usable) == (0, False)
+
+
 def test_a_place_beside_the_terrain_s_edge_says_that_it_lacks_data(context, selected):
     place = msgspec.structs.replace(selected[0].places[0], lat_deg=-38.02, lon_deg=-11.0)
     record = SelectedCell(selected[0].cell, (place,), 1.0)
