@@ -31,14 +31,14 @@ from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.navigation.answers import Answers, FrameMethods, NavigationInputs
 from optnav_cli.navigation.control_points.expectation import FrameContext
 from optnav_cli.navigation.control_points.field import ControlPointField
-from optnav_cli.navigation.descent_rows import match_rows
-from optnav_cli.navigation.descent_state import (
-    JointState,
-    Sighting,
+from optnav_cli.navigation.descent_errors import (
+    SCALES,
+    WindowError,
     WindowSpread,
-    track_sigmas,
     window_ground,
 )
+from optnav_cli.navigation.descent_rows import match_rows
+from optnav_cli.navigation.descent_state import JointState, Sighting, track_sigmas
 from optnav_cli.navigation.descent_windows import (
     MAX_SEARCH_NODES,
     OVERSAMPLED,
@@ -62,8 +62,9 @@ MIN_AGAINST = 6
 # No craft turns its velocity faster than by so many m/s^2; a track that does so jumps.
 MAX_ACCELERATION, MIN_JUMP_M = 20.0, 50.0
 PRIOR_SOURCE = "inertial track"
-# An update is repeated when its windows raise the scale of their errors by more than this.
-MIN_GROWTH = 1.05
+# An update is repeated, so often at most, while its windows change the scale of their errors by
+# more than this. The first is made with the largest scale, so that no right window is left out.
+MAX_CHANGE, SCALED_UPDATES = 1.1, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +82,7 @@ class DescentMemory:
 
     state, covariance, nominal_m  of the joint filter
     keys       of its points: a landmark's number, or a window's level, side, row and column
-    roots_m    (3, 3) of the windows' errors
+    errors     of the windows among them, and of what they have in common
     spread     of the windows
     solved     whether any frame was
     last_s, last_m, velocity  time, place and velocity of the track as it was last stated
@@ -91,7 +92,7 @@ class DescentMemory:
     covariance: FloatArray
     nominal_m: FloatArray
     keys: list[list[int]]
-    roots_m: list[FloatArray]
+    errors: list[WindowError]
     spread: WindowSpread
     landmarks: list[Landmark]
     solved: bool
@@ -166,7 +167,7 @@ class DescentNavigator:
         arrays = joint.state, joint.covariance, joint.nominal_m
         landmarks = [one if not one.reason else one.without_patch() for one in self._tracks.all]
         last_s, last_m = self._last or (None, None)
-        windows = keys, own.roots_m, own.spread
+        windows = keys, own.errors, own.spread
         return DescentMemory(
             *arrays, *windows, landmarks, self._solved, last_s, last_m, self._velocity
         )
@@ -175,7 +176,7 @@ class DescentNavigator:
         """Go on as the descent that gave this memory."""
         self._state.filter.restore(memory.state, memory.covariance, memory.nominal_m)
         keys = [WindowKey(*key) if len(key) > 1 else key[0] for key in memory.keys]
-        self._state.restore(keys, memory.roots_m, memory.spread)
+        self._state.restore(keys, memory.errors, memory.spread)
         self._tracks.all = list(memory.landmarks)
         self._solved, self._velocity = memory.solved, memory.velocity
         if memory.last_s is not None and memory.last_m is not None:
@@ -396,26 +397,28 @@ def _joined(
 ) -> _Updated:
     """A copy of a state updated by windows and landmarks; windows that do not agree leave it.
 
-    Once more from before them where the new windows show that the model is worse than was known.
+    Again from before them while the new windows show that the model is worse or better than was
+    known.
     """
     by_position = np.zeros((0, 2, 3))
     if found:
         places = np.array([one.window.place_m for one in found])
         by_position = predict(frame.camera, state.filter.pose(stated), places)[1][:, :, :3]
-    seen = _sightings(state, frame, found, by_position, landmarks)
     new = [k for k, one in enumerate(found) if one.window.key not in state.keys]
     grounds = [window_ground(found[k].window, found[k].match, by_position[k]) for k in new]
     places_m = np.array([found[k].window.place_m for k in new]).reshape(-1, 3)
-    scale = state.spread.scale
-    while True:
+    scale = state.spread.scale if state.spread.count else float(SCALES[-1])
+    for _ in range(SCALED_UPDATES):
         joined = state.copy()
         if new:
             joined.join_windows([each.error(state.sizes, scale) for each in grounds], places_m)
+        seen = _sightings(state, frame, found, by_position, landmarks, scale)
         update = joined.update(frame.camera, stated, seen)
         if 2 * int(update.used[: len(found)].sum()) < len(found):
             break  # a track that jumped or wrong matches, not windows that scatter
-        joined.spread = state.spread.with_windows(update.squares[new], scale)
-        if joined.spread.scale <= MIN_GROWTH * scale or scale > state.spread.scale:
+        joined.spread = state.spread.with_windows(grounds, update.squares[new], scale, state.sizes)
+        change = joined.spread.scale / scale
+        if 1.0 / MAX_CHANGE < change < MAX_CHANGE:
             break
         scale = joined.spread.scale
     kept = {one.key: bool(good) for one, good in zip(seen, update.used, strict=True)}
@@ -429,13 +432,14 @@ def _sightings(
     found: Sequence[SoughtWindow],
     by_position: FloatArray,
     landmarks: Sequence[SoughtLandmark],
+    scale: float,
 ) -> list[Sighting]:
     """What an update takes: all windows in their order, then the landmarks."""
     seen: list[Sighting] = []
     for one, rows in zip(found, by_position, strict=True):
         if one.match.pixel is not None:
             pixel = one.match.pixel - state.sunward_px(one.window, rows, frame.sun_body)
-            own = state.fresh_covariance_px2(one.match)
+            own = state.fresh_covariance_px2(one.match, scale)
             seen.append(Sighting(one.window.key, pixel, own))
     fresh = state.sizes.landmark_px**2 * np.eye(2)
     for track in landmarks:

@@ -3,8 +3,9 @@
 The windows of all frames of a flight are matched from their true poses: what is left is their
 error. The sizes in FILE are those under which all errors of the flights together are likeliest: of
 the ground, the same in each frame that shows it, alike where windows share ground and, in a part,
-in all of a flight; and fresh ones. A prior holds sizes at the present ones where the flights say
-nothing. Fitted with the model of the truth, with one that is wrong, and with a 12 m model.
+in all of a flight; and fresh ones. How wrong a flight's model is, is learned as the filter does. A
+prior holds sizes at the present ones where the flights say nothing. Fitted with the model of the
+truth, with one that is wrong, and with a 12 m model.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,14 +28,17 @@ from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.navigation.control_points.expectation import FrameContext
-from optnav_cli.navigation.descent_state import (
+from optnav_cli.navigation.descent_errors import (
     FILE,
+    SCALES,
     DescentErrorSizes,
     WindowGround,
+    WindowSpread,
+    same_level,
     shipped_sizes,
-    sunward_shift_px,
     window_ground,
 )
+from optnav_cli.navigation.descent_state import sunward_shift_px
 from optnav_cli.navigation.descent_windows import (
     WindowField,
     WindowKey,
@@ -85,15 +89,33 @@ class FlightErrors:
         names = ("of_window", "missed_px", "sunward_px", "by_ground", "left_px2")
         return replace(self, **{name: getattr(self, name)[kept] for name in names})
 
+    def scale(self, sizes: DescentErrorSizes) -> float:
+        """How wrong the flight's model is, by the windows' first sightings; see `WindowSpread`."""
+        _, first = np.unique(self.of_window, return_index=True)
+        missed = self.missed_px - sizes.sunward_postings * self.sunward_px
+        grounds = [self.grounds[k] for k in self.of_window[first]]
+        level = self.by_ground[first] @ np.array([ground.axes[:, :2] for ground in grounds])
+        off = np.linalg.pinv(level) @ missed[first, :, None]
+        spreads = [ground.level_m2(sizes) for ground in grounds]
+        widest = np.array([stays + SCALES[-1] * scaled for stays, scaled in spreads])
+        squares = (off * np.linalg.solve(widest, off)).sum(axis=(1, 2))
+        return WindowSpread().with_windows(grounds, squares, float(SCALES[-1]), sizes).scale
+
     def errors(self, sizes: DescentErrorSizes) -> tuple[FloatArray, FloatArray]:
         """What was missed (2 n,), px, and its covariance (2 n, 2 n) by some sizes."""
         missed = self.missed_px - sizes.sunward_postings * self.sunward_px
-        roots = np.array([ground.error(sizes).root_m for ground in self.grounds])
-        moved = (self.by_ground @ roots[self.of_window]).reshape(-1, 3)
-        ties = sizes.common + (1.0 - sizes.common) * self.overlaps
-        ties = ties[np.ix_(self.of_window, self.of_window)]
-        covariance = (moved @ moved.T) * np.kron(ties, np.ones((2, 2)))
-        fresh = sizes.fresh_px**2 * np.eye(2) + sizes.fresh_share * self.left_px2
+        scale = self.scale(sizes)
+        errors = [ground.error(sizes, scale) for ground in self.grounds]
+        common, own = (
+            (self.by_ground @ np.array(roots)[self.of_window]).reshape(-1, 3)
+            for roots in zip(*((error.common_m, error.own_m) for error in errors), strict=True)
+        )
+        ties = self.overlaps[np.ix_(self.of_window, self.of_window)]
+        keys = [ground.key for ground in self.grounds]
+        level = same_level(keys, keys)[np.ix_(self.of_window, self.of_window)]
+        covariance = (common @ common.T) * np.kron(level, np.ones((2, 2)))
+        covariance += (own @ own.T) * np.kron(ties, np.ones((2, 2)))
+        fresh = sizes.fresh_px**2 * np.eye(2) + scale * sizes.fresh_share * self.left_px2
         for k, own in enumerate(fresh):
             covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own
         return missed.ravel(), covariance

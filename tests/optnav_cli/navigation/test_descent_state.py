@@ -5,21 +5,20 @@ import pytest
 
 from catalog.arrays import FloatArray
 from optnav_cli.estimation.descent_filter import TRACK, TrackErrors
-from optnav_cli.navigation.descent_state import (
-    JointState,
-    WindowError,
-    WindowGround,
-    WindowSpread,
-    shipped_sizes,
-)
+from optnav_cli.navigation.descent_errors import WindowError
+from optnav_cli.navigation.descent_state import JointState
 from optnav_cli.navigation.descent_windows import STEP, WindowKey, overlap
 
-WINDOWS = TRACK + 3  # what all windows have in common stands before them
+COMMON_SHARE = 0.15
+WINDOWS = TRACK + 3  # what windows of a level have in common stands before them
 ERRORS = TrackErrors(300.0, 0.8, 0.0, 6e-5, 4e-7, 1.5e-5)
 
 
 def window(row: int, col: int, sigma_m: float = 8.0, side: int = 24) -> WindowError:
-    return WindowError(WindowKey(0, side, row, col), sigma_m * np.diag([1.0, 1.0, 0.5]))
+    """With a variance of which COMMON_SHARE is that of all windows."""
+    root = sigma_m * np.diag([1.0, 1.0, 0.5])
+    common, own = (np.sqrt(share) * root for share in (COMMON_SHARE, 1.0 - COMMON_SHARE))
+    return WindowError(WindowKey(0, side, row, col), common, own)
 
 
 def places(count: int) -> FloatArray:
@@ -44,8 +43,7 @@ def test_the_order_in_which_windows_join_does_not_matter() -> None:
         one_by_one.join_windows([error], places(1))
     a, b = (state.filter.covariance[WINDOWS:, WINDOWS:] for state in (together, one_by_one))
     assert a == pytest.approx(b, abs=1e-4)
-    common = shipped_sizes().common
-    tie = common + (1.0 - common) * 0.5
+    tie = COMMON_SHARE + (1.0 - COMMON_SHARE) * 0.5
     assert a[0, 3] == pytest.approx(tie * 8.0 * 12.0, rel=1e-4)
 
 
@@ -78,29 +76,5 @@ def test_what_windows_have_in_common_outlives_them() -> None:
     assert state.windows == []
     state.filter.state[TRACK] = 1.0  # in units of a window's sigma
     state.join_windows([window(0, 900)], places(1))
-    expected = 8.0 * np.sqrt(shipped_sizes().common)
+    expected = 8.0 * np.sqrt(COMMON_SHARE)
     assert state.filter.offsets_m[1] == pytest.approx([expected, 0.0, 0.0], rel=1e-4)
-
-
-def test_windows_that_scatter_as_stated_leave_their_sizes_alone() -> None:
-    squares = np.random.default_rng(4).chisquare(2, 200)
-    assert WindowSpread().with_windows(squares, 1.0).scale < 1.1
-    assert WindowSpread().with_windows(0.3 * squares, 1.0).scale == 1.0
-
-
-def test_windows_of_a_wrong_model_widen_their_errors_until_they_scatter_as_stated() -> None:
-    """Windows with three times the variance, a frame of twenty at a time."""
-    rng, spread = np.random.default_rng(5), WindowSpread()
-    for _ in range(20):
-        scale = spread.scale
-        spread = spread.with_windows(3.0 / scale * rng.chisquare(2, 20), scale)
-    assert spread.scale == pytest.approx(3.0, rel=0.15)
-    ground = WindowGround(WindowKey(0, 24, 0, 0), np.eye(3), 118.0, 0.1, 25.0)
-    narrow, wide = (ground.error(shipped_sizes(), scale).root_m for scale in (1.0, spread.scale))
-    assert wide[0, 0] / narrow[0, 0] == pytest.approx(np.sqrt(spread.scale))
-    assert wide[2, 2] == narrow[2, 2]  # what levels are found by says nothing of heights
-
-
-def test_one_wrong_match_does_not_widen_all_windows_by_much() -> None:
-    squares = np.append(np.random.default_rng(6).chisquare(2, 19), np.inf)
-    assert WindowSpread().with_windows(squares, 1.0).scale < 1.3
