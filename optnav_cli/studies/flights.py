@@ -60,8 +60,11 @@ R = TypeVar("R", bound=Case)
 
 
 def rows_named(rows: Sequence[R], part: str) -> list[R]:
-    """The rows whose name contains a text. Raises NothingToDoError when there is none."""
-    chosen = [row for row in rows if part in row.name]
+    """The rows whose name contains a text, or one of several between bars.
+
+    Raises NothingToDoError when there is none.
+    """
+    chosen = [row for row in rows if any(each in row.name for each in part.split("|"))]
     if not chosen:
         raise NothingToDoError(f"no row of the study is called '{part}'")
     return chosen

@@ -157,7 +157,7 @@ _OTHERS = (
                 "Only the row without windows below 6.5 km.",
                 is_flag=True,
             ),
-            option("--rows", str, "", "Only rows whose name contains this, such as '6.5-2'."),
+            option("--rows", str, "", "Only rows whose name contains this, such as 'wrong|12 m'."),
         ),
     ),
     Study(

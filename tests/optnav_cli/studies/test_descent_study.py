@@ -19,6 +19,7 @@ from optnav_cli.studies.descent_flights import (
     write_wrong_model,
 )
 from optnav_cli.studies.descent_measurements import Errors, Formulation
+from optnav_cli.studies.flights import rows_named
 
 UTC = "2026-01-01T00:00:00Z"
 
@@ -30,6 +31,13 @@ def frame(height_m: float, error: float | None, last: bool = False) -> FlownFram
         return FlownFrame(height_m, None, None, Solution("a.png", UTC, NoFix(reason)), last)
     fix = Fix(Method.DESCENT, np.array([1.8e6, 0.0, 0.0]), np.eye(3))
     return FlownFrame(height_m, np.full(3, error), 1.5, Solution("a.png", UTC, fix), last)
+
+
+def test_rows_are_chosen_by_one_text_or_several() -> None:
+    assert [row.name for row in rows_named(CASES, "12 m")] == ["12 m, 20-2 km"]
+    both = [row.name for row in rows_named(CASES, "no windows|12 m")]
+    assert both == ["12 m, 20-2 km", "no windows below 6.5 km"]
+    assert len(rows_named(CASES, "")) == len(CASES)
 
 
 def test_each_ground_is_another_one() -> None:
