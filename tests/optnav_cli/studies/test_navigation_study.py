@@ -19,13 +19,13 @@ REAL = next(row for row in ROWS if row.scenarios == ("real_unk_200km",))
 OWN = next(row for row in ROWS if row.scenarios == ("unk_200km",))
 
 
-def evaluation(error_m: float | None) -> Evaluation:
+def evaluation(error_m: float | None, nees: float = 1.0) -> Evaluation:
     if error_m is None:
         return Evaluation((FrameError("a.png", UTC, unsolved("a.png", UTC, "x"), "motion", 4e5),))
     error = np.array([error_m, 0.0, 0.0])
     answer = solved("a.png", UTC, "control_points", error, np.eye(3), Rotation.identity(), 0.0)
     sigmas = np.full(3, error_m)
-    return Evaluation((FrameError("a.png", UTC, answer, "motion", 4e5, error, sigmas, 1.0),))
+    return Evaluation((FrameError("a.png", UTC, answer, "motion", 4e5, error, sigmas, nees),))
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
@@ -54,3 +54,12 @@ def test_a_row_of_which_nothing_is_solved_has_a_line_of_dashes() -> None:
     table = report([FlightResult(REAL, False, evaluation(None), 30.0)]).tables[0]
     assert (table.column("solved"), table.column("frames")) == ([0], [1])
     assert table.column("horizontal_rms_m") == [None]
+
+
+def test_the_worst_frame_and_the_share_of_solved_frames_are_told_beside_what_is_asked() -> None:
+    frames = (evaluation(5.0, 4.0), evaluation(5.0, 25.0), evaluation(None))
+    first, *others = (FlightResult(REAL, star, frame, 30.0) for star, frame in enumerate(frames))
+    found = report([first, *others])
+    assert found.tables[0].column("worst") == [2.0, 5.0, None]
+    assert any("solved 2 of 3 frames (66.7 %)" in note for note in found.notes)
+    assert any(f"worst frame 5.0 σ ({REAL.name}, 10″)" in note for note in found.notes)
