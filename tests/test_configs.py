@@ -98,6 +98,7 @@ def load_model(path: Path) -> object:
     from optnav_cli.navigation.control_points.acceptance import AcceptanceLimits
     from optnav_cli.navigation.control_points.error_model import PointErrorSizes
     from optnav_cli.navigation.descent_state import DescentErrorSizes
+    from optnav_cli.navigation.horizon.sizes import HorizonSizes
     from optnav_cli.navigation.silhouette import SilhouetteErrors
     from optnav_cli.orbit.motion import OrbitNoiseSizes
     from optnav_cli.orbit.shared_errors import SharedErrorSizes
@@ -110,6 +111,7 @@ def load_model(path: Path) -> object:
         "cylinder": CylinderErrorSizes,
         "disc": DiscErrorSizes,
         "silhouette": SilhouetteErrors,
+        "horizon": HorizonSizes,
         "hazard": HazardModel,
         "orbit": OrbitNoiseSizes,
         "orbit_fixes": SharedErrorSizes,

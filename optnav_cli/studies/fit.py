@@ -40,11 +40,15 @@ from optnav_cli.navigation.control_points.expectation import FrameContext, expec
 from optnav_cli.navigation.control_points.solve import MatchedFrame, match_all, matched_frame
 from optnav_cli.navigation.observation import Observation, observation_of
 from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
-from optnav_cli.studies import descent_fit, flights, likelihood, navigation
+from optnav_cli.studies import descent_fit, flights, horizon_fit, likelihood, navigation
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 # Folders that catalogs and pictures of a model are taken from.
-FOLDERS = {"control_points": "optnav-navigation", "descent": "optnav-descent"}
+FOLDERS = {
+    "control_points": "optnav-navigation",
+    "descent": "optnav-descent",
+    "horizon": "optnav-horizon",
+}
 # Scenarios with their catalogs: of one the first frames are fitted with, the others only score.
 FITTED = {"real_unk_200km": "tycho"}
 SCORED = {"real_unk_400km": "tycho", "real_shnk_200km": "tycho", "real_farside_400km": "farside"}
@@ -81,7 +85,7 @@ def run(
     frames: int | None = None,
     rows: str = "",
     output: Path | None = None,
-) -> "FitResult | descent_fit.DescentFitResult":
+) -> "FitResult | descent_fit.DescentFitResult | horizon_fit.HorizonFitResult":
     """Fit the sizes of one of FOLDERS' models; a TOML file with them goes to `output`.
 
     folder  of a study, whose catalogs and pictures are used again; None for that of FOLDERS
@@ -91,6 +95,8 @@ def run(
     folder = folder or Path(FOLDERS[name])
     if name == "descent":
         return descent_fit.run(progress, folder, rows, output)
+    if name == "horizon":
+        return horizon_fit.run(progress, folder, frames, rows, output)
     if output is not None:
         check_file(output, starts_with(BEGINNING))
     make_folder(folder)
@@ -280,19 +286,7 @@ def fitted(frames: Sequence[TrueFrame], sizes: PointErrorSizes) -> PointErrorSiz
 
 def with_sizes(text: str, sizes: PointErrorSizes) -> str:
     """The text of the shipped sizes' file with other values, to two digits; comments stay."""
-    section, lines = "", []
-    old, new = numbers(shipped_sizes()), numbers(sizes)
-    for line in text.splitlines():
-        if line.startswith("["):
-            section = line[1 : line.index("]")]
-        start, _, rest = line.partition("= ")
-        name = f"{section}.{start.strip()}"
-        if name in new and new[name] != old[name]:
-            value, mark, comment = rest.partition("#")
-            shown = f"{new[name]:.2g}".ljust(len(value))
-            line = f"{start}= {shown}{mark}{comment}"
-        lines.append(line)
-    return "\n".join(lines) + "\n"
+    return likelihood.with_numbers(text, numbers(shipped_sizes()), numbers(sizes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,10 +303,14 @@ SCORES = columns("scenario; frames; ground; NEES_old = NEES, old .2f; NEES_new =
                  "worst_old = worst, old [σ] .1f; worst_new = worst, new [σ] .1f")  # fmt: skip
 
 
-def report(result: FitResult | descent_fit.DescentFitResult) -> StudyReport:
+def report(
+    result: FitResult | descent_fit.DescentFitResult | horizon_fit.HorizonFitResult,
+) -> StudyReport:
     """The sizes with what halving and doubling the new ones costs, and NEES by scenario."""
     if isinstance(result, descent_fit.DescentFitResult):
         return descent_fit.report(result)
+    if isinstance(result, horizon_fit.HorizonFitResult):
+        return horizon_fit.report(result)
     old, new = numbers(result.old), numbers(result.new)
     sizes = likelihood.sizes_table(old, new, drops(result.fit, result.new))
     scores: list[tuple[Cell, ...]] = []

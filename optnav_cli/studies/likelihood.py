@@ -55,6 +55,22 @@ def likeliest_factors(
     return factors(best.x)
 
 
+def with_numbers(text: str, old: Mapping[str, float], new: Mapping[str, float]) -> str:
+    """A TOML text with values of "section.name" changed, to two digits; comments stay."""
+    section, lines = "", []
+    for line in text.splitlines():
+        if line.startswith("["):
+            section = line[1 : line.index("]")]
+        start, _, rest = line.partition("= ")
+        name = f"{section}.{start.strip()}"
+        if name in new and new[name] != old[name]:
+            value, mark, comment = rest.partition("#")
+            shown = f"{new[name]:.2g}".ljust(len(value))
+            line = f"{start}= {shown}{mark}{comment}"
+        lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
 def sizes_table(
     old: Mapping[str, float], new: Mapping[str, float], found: Mapping[str, tuple[float, float]]
 ) -> StudyTable:

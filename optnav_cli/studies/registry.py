@@ -203,10 +203,11 @@ _OTHERS = (
         matched from their true poses. NEES of frames held back, and of other ground, is that of the
         present sizes and of the new ones. Catalogs and pictures are those of `optnav study
         navigation`; with them it takes a minute. `descent` is fitted with the windows of flights of
-        `optnav study descent`, over another ground than those that it scores.""",
+        `optnav study descent`, over another ground than those that it scores, `horizon` with limbs
+        of `optnav study horizon` over the simulator's own ground.""",
         "control_points -o sizes.toml",
         (
-            click.Argument(["name"], type=click.Choice(["control_points", "descent"])),
+            click.Argument(["name"], type=click.Choice(["control_points", "descent", "horizon"])),
             output(None, "TOML file for the sizes.", ".toml"),
             option(
                 "--folder",

@@ -12,27 +12,13 @@ from catalog.terrain.skyline.limb import nadir_axes
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.measurements.limb.detection import LimbPoints
+from optnav_cli.navigation.horizon.sizes import LightSizes, horizon_sizes
 from optnav_cli.reasons import ReasonCode, told_apart
 
 ARC_BIN_DEG = 2.0
 MIN_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
-# What a single edge keeps of light and slope that no model has.
-EDGE_NOISE_PX = 0.05
-# The limb of the Moon (GLD100, 16 cells a degree, 150 places at each of 50, 200, 800, 20 000 km):
-# its height over the mean sphere averages 0.9 km, being made of crests, and its covariance between
-# two limb points depends on the angle between them at the centre alone, not on the altitude.
-MOON_ANGLE_DEG = np.array([0, 1, 2.5, 5, 10, 20, 30, 45, 60, 80, 100, 120, 140, 160, 180.0])
-MOON_COVARIANCE_KM2 = np.array(
-    [6.2, 5.9, 5.6, 5.3, 4.6, 3.7, 2.9, 1.9, 0.9, 0.1, -0.5, -0.8, -1.1, -1.3, -1.3]
-)
-MOON_MEAN_KM = 0.9
-MOON_HEIGHTS_KM = 24.0  # plausible heights of the Moon, lowest to highest
 RELIEF_BINS = 120  # of azimuth, when relief is propagated
-# The light of the ground about a crest moves edges together over some tens of degrees, differently
-# from place to place: limbs of a known skyline, from 50 to 200 km, show 0.05 px at 5 deg of Sun,
-# 0.02 from 10 to 40 and 0.01 above.
-SECTOR_DEG = 30.0
-SECTOR_PX, SECTOR_LOW_PX, SECTOR_FALL_DEG = 0.013, 0.09, 6.0
+SECTOR_DEG = 30.0  # of azimuth, over which the light about crests moves edges together
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +43,10 @@ class LimbRays:
     def __len__(self) -> int:
         return len(self.rays)
 
-    def own_sigmas(self) -> FloatArray:
-        """(n,) rad, error of each point that is its own."""
-        return np.hypot(self.sigma_px, EDGE_NOISE_PX) * self.pixel_angle
+    def own_sigmas(self, light: LightSizes | None = None) -> FloatArray:
+        """(n,) rad, error of each point that is its own, by the shipped sizes or others."""
+        light = light or horizon_sizes().light
+        return np.hypot(self.sigma_px, light.noise_px) * self.pixel_angle
 
     def azimuths(self, position: FloatArray) -> FloatArray:
         """(n,) rad about the nadir of a position (3,), as `nadir_axes` counts them."""
@@ -124,13 +111,17 @@ def attitude_covariance(position: FloatArray, sigma_rad: float) -> FloatArray:
     return sigma_rad**2 * (square * np.eye(3) - np.outer(position, position))
 
 
-def edge_errors(rays: LimbRays, azimuths: FloatArray, sun_sine: FloatArray) -> FloatArray:
+def edge_errors(
+    rays: LimbRays, azimuths: FloatArray, sun_sine: FloatArray, light: LightSizes | None = None
+) -> FloatArray:
     """What the edges have wrong together by their light: (n, m) rad, one sigma of each error.
 
     azimuths (n,) about the nadir;  sun_sine (n,) sine of the Sun's elevation at each limb point
+    light    other sizes than the shipped ones
     """
+    light = light or horizon_sizes().light
     elevation = np.degrees(np.arcsin(np.clip(sun_sine, 0.0, 1.0)))
-    size_px = SECTOR_PX + SECTOR_LOW_PX * np.exp(-elevation / SECTOR_FALL_DEG)
+    size_px = light.sector_px + light.sector_low_px * np.exp(-elevation / light.sector_fall_deg)
     sectors = in_sectors(azimuths) * size_px[:, None]
     common = np.full((len(rays), 1), rays.common_px)
     return np.concatenate([common, sectors], axis=1) * rays.pixel_angle[:, None]
@@ -152,15 +143,16 @@ def relief_covariance(
     from the nadir to the limb. Bodies other than the Moon take its statistics in units of their
     plausible heights.
     """
+    sizes = horizon_sizes().ellipsoid
     low, high = body.plausible_heights_m
-    unit = (high - low) / MOON_HEIGHTS_KM
+    unit = (high - low) / sizes.heights_km
     bins = _bins(azimuths, RELIEF_BINS)
     rows = fit.measured.gain(fit.noise) / distance_m
     gain = np.stack([np.bincount(bins, row, RELIEF_BINS) for row in rows])
     at = 2.0 * np.pi * np.arange(RELIEF_BINS) / RELIEF_BINS
     cosine = np.cos(circle) ** 2 + np.sin(circle) ** 2 * np.cos(at[:, None] - at[None, :])
     angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    covariance = np.interp(angle, MOON_ANGLE_DEG, MOON_COVARIANCE_KM2) + MOON_MEAN_KM**2
+    covariance = np.interp(angle, sizes.angle_deg, sizes.covariance_km2) + sizes.mean_km**2
     moved: FloatArray = gain @ (covariance * unit**2) @ gain.T
     return moved
 

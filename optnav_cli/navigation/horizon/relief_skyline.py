@@ -18,18 +18,10 @@ from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.estimation.models.limb import fit_limb
 from optnav_cli.estimation.robust import TUKEY, scatter
 from optnav_cli.navigation.horizon.limb_rays import LimbRays
+from optnav_cli.navigation.horizon.sizes import HorizonSizes, LightSizes, horizon_sizes
 from optnav_cli.navigation.horizon.skyline import Followed, SkylineFit, usable_rays
 from optnav_cli.reasons import ReasonCode
 
-# Skylines of cells' means lie low, of their tops high. What meets the ground of 32 cells a degree
-# with seeded relief below, from 50 to 20 000 km: 0.8 of the way from means to tops at 16 cells a
-# degree, 0.70 at 4, 0.68 at 2, to 10 m times the cells' size in MOON_POSTING_M; a single crest then
-# errs by 27, 67, 125, 204 m at 16, 8, 4, 2 cells a degree (3600 crests each).
-TOP_SHARE, TOP_SHARE_MORE, MOON_POSTING_M = 0.68, 0.12, 1895.0
-CREST_NOISE_M, CREST_SIGMA_M = 27.0, 10.0
-# A relief of a model no finer than itself has no tops: its skyline is low by this share of a cell's
-# size (240 m at 4 cells a degree; 207 from 50 km, 274 from 20 000 km), known to LIFT_SIGMA of it.
-LIFT, LIFT_SIGMA = 0.032, 0.4
 NO_TOPS = 0.003  # tops over means, in a cell's size; the Moon's are ten times as high
 SHADOW_CLEARANCE_M = 30.0  # ground by which a crest may miss the Sun and still be taken as lit
 MAX_PASSES = 8
@@ -47,6 +39,7 @@ class ReliefSkyline:
     """A relief made ready for skylines, and how well these are known; see `BodySkyline`.
 
     crest_noise_m  of a single crest
+    light          other sizes of errors by light than the shipped ones
     """
 
     max_passes = MAX_PASSES
@@ -54,9 +47,14 @@ class ReliefSkyline:
     sector_sigma_m = 0.0
 
     def __init__(
-        self, limb: LimbRelief, body_name: str, crest_noise_m: float, crest_sigma_m: float
+        self,
+        limb: LimbRelief,
+        body_name: str,
+        crest_noise_m: float,
+        crest_sigma_m: float,
+        light: LightSizes | None = None,
     ) -> None:
-        self.limb, self._body_name = limb, body_name
+        self.limb, self._body_name, self.light = limb, body_name, light
         self.crest_noise_m, self.crest_sigma_m = crest_noise_m, crest_sigma_m
 
     def fit(self, rays: LimbRays, position: FloatArray, sun: FloatArray | None) -> SkylineFit:
@@ -64,7 +62,9 @@ class ReliefSkyline:
         sizes, lit, sun_sine = self.sizes_at(position, rays, sun)
         usable, kept = usable_rays(rays, position, lit, sun_sine)
         sizes, radii = sizes[usable], np.full(3, self.limb.radius_m)
-        sigmas = np.hypot(kept.own_sigmas(), self.crest_noise_m / self._distance(position))
+        sigmas = np.hypot(
+            kept.own_sigmas(self.light), self.crest_noise_m / self._distance(position)
+        )
         least = MIN_CUT_PX * float(np.median(kept.pixel_angle))
         fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=position)
         for _ in range(2):
@@ -142,18 +142,22 @@ class ReliefSkyline:
 
 
 @lru_cache(maxsize=2)
-def relief_skyline(relief: GlobalRelief, body_name: str) -> ReliefSkyline:
-    """The relief made ready for skylines, once for all frames."""
-    cells = relief.posting_m / MOON_POSTING_M
-    noise, sigma = CREST_NOISE_M * cells, CREST_SIGMA_M * cells
+def relief_skyline(
+    relief: GlobalRelief, body_name: str, other: HorizonSizes | None = None
+) -> ReliefSkyline:
+    """The relief made ready for skylines, once for all frames; with other sizes to score them."""
+    sizes, light = (other or horizon_sizes()).crest, None if other is None else other.light
+    cells = relief.posting_m / sizes.posting_m
+    noise, sigma = sizes.noise_m * cells, sizes.sigma_m * cells
     rise = float(np.mean(relief.max_heights - relief.heights))
     if rise < NO_TOPS * relief.posting_m:
-        lift = LIFT * relief.posting_m
+        lift = sizes.lift * relief.posting_m
         lifted = relief.heights + np.float32(lift)
         flat = GlobalRelief(lifted, lifted, relief.radius_m, relief.source)
-        return ReliefSkyline(LimbRelief(flat, 0.0), body_name, noise, max(sigma, LIFT_SIGMA * lift))
-    share = TOP_SHARE + TOP_SHARE_MORE / max(cells, 1.0)
-    return ReliefSkyline(LimbRelief(relief, share), body_name, noise, sigma)
+        sigma = max(sigma, sizes.lift_sigma * lift)
+        return ReliefSkyline(LimbRelief(flat, 0.0), body_name, noise, sigma, light)
+    share = sizes.top_share + sizes.top_share_more / max(cells, 1.0)
+    return ReliefSkyline(LimbRelief(relief, share), body_name, noise, sigma, light)
 
 
 def _near(places: IntArray, count: int, reach: int) -> BoolArray:

@@ -26,18 +26,12 @@ from optnav_cli.estimation.models.limb import silhouette_step
 from optnav_cli.estimation.robust import scatter
 from optnav_cli.measurements.limb.detection import RELIEF
 from optnav_cli.navigation.horizon.limb_rays import LimbRays
+from optnav_cli.navigation.horizon.sizes import horizon_sizes
 from optnav_cli.navigation.horizon.skyline import Followed, SkylineFit, usable_rays
 from optnav_cli.reasons import ReasonCode
 
 SHAPE_SHARE = 0.05  # of the radius, highest to lowest: the Moon has 0.011, Phobos 0.5
-# Round ground with 19 m rms of relief (hills and craters) below the 319 m of the 2 deg model of
-# Phobos has its silhouette 14.3 m above that of the cells of 159 m that its catalog carries, and a
-# single crest errs by 13 m (ten views from 100 km, 1440 crests each); pictures of it show the limb
-# 2 m higher still (eight). A truth of the model's flat faces stands 6 m above the cells. Other
-# shapes: in units of their cells.
-LIFT, LIFT_SIGMA = 0.100, 0.25
-CREST_NOISE, SECTOR_NOISE = 0.080, 0.02
-SHADOW_CLEARANCE = 0.16
+SHADOW_CLEARANCE = 0.16  # in cells
 MIN_AZIMUTHS, MAX_AZIMUTHS = 360, 2880
 STEEPEST_COSINE = 0.35  # where a limb leans more against the circle's, azimuths are no measure
 MAX_PASSES = 15
@@ -79,10 +73,10 @@ class ShapeSkyline:
 
     def __init__(self, limb: LimbRelief, cell_m: float) -> None:
         """Of cells of a size, m."""
-        self.limb = limb
-        self.crest_noise_m = CREST_NOISE * cell_m
-        self.crest_sigma_m = LIFT * LIFT_SIGMA * cell_m
-        self.sector_sigma_m = SECTOR_NOISE * cell_m
+        self.limb, sizes = limb, horizon_sizes().shape
+        self.crest_noise_m = sizes.crest_noise * cell_m
+        self.crest_sigma_m = sizes.lift * sizes.lift_sigma * cell_m
+        self.sector_sigma_m = sizes.sector_noise * cell_m
         self.clearance_m = SHADOW_CLEARANCE * cell_m
 
     def fit(self, rays: LimbRays, position: FloatArray, sun: FloatArray | None) -> SkylineFit:
@@ -201,6 +195,6 @@ def relief_fraction(body: Body) -> float:
 def shape_skyline(relief: GlobalRelief) -> ShapeSkyline:
     """The shape made ready for silhouettes, once for all frames."""
     # of slopes as steep as these the tops say how a cell leans, not what stands up in it
-    lifted = relief.heights + np.float32(LIFT * relief.posting_m)
+    lifted = relief.heights + np.float32(horizon_sizes().shape.lift * relief.posting_m)
     ground = GlobalRelief(lifted, lifted, relief.radius_m, relief.source)
     return ShapeSkyline(LimbRelief(ground, 0.0), relief.posting_m)

@@ -12,6 +12,7 @@ from catalog.arrays import BoolArray, FloatArray
 from optnav_cli.estimation.consider import with_shared_errors
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.navigation.horizon.limb_rays import LimbRays, edge_errors, in_sectors, require_arc
+from optnav_cli.navigation.horizon.sizes import LightSizes
 
 # Below 3 deg of Sun edges stray by tenths of a pixel, and outward: what is seen there is the far
 # side of shadows.
@@ -115,13 +116,15 @@ def follow(
             return Followed(fit, passes, moved, False)
 
 
-def with_limb_errors(skyline: BodySkyline, fit: SkylineFit) -> tuple[FloatArray, FloatArray]:
+def with_limb_errors(
+    skyline: BodySkyline, fit: SkylineFit, light: LightSizes | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Position (3,), m, and covariance (3, 3) with what limb points and crests have wrong together.
 
-    The attitude's error is not in it.
+    The attitude's error is not in it.  light  as `edge_errors`
     """
     crests = np.full((len(fit.rays), 1), skyline.crest_sigma_m / fit.distance_m)
-    errors = [edge_errors(fit.rays, fit.azimuths, fit.sun_sine), crests]
+    errors = [edge_errors(fit.rays, fit.azimuths, fit.sun_sine, light), crests]
     if skyline.sector_sigma_m > 0.0:
         errors.append(in_sectors(fit.azimuths) * (skyline.sector_sigma_m / fit.distance_m))
     return with_shared_errors(fit.estimate, np.concatenate(errors, axis=1))
