@@ -94,7 +94,10 @@ def read_relief(db: sqlite3.Connection, meta: CatalogMeta) -> GlobalRelief | Non
         for layer in (MEANS, TOPS)
     )
     max_heights += means
-    return GlobalRelief(means, max_heights, meta.radius_m, meta.relief.source)
+    source = meta.relief.source
+    error = meta.error_of(source)
+    stated = None if error is None else error.error_m
+    return GlobalRelief(means, max_heights, meta.radius_m, source, stated)
 
 
 def tile_places(meta: ReliefMeta) -> list[TilePlace]:

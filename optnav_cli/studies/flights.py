@@ -22,6 +22,7 @@ from catalog.files import starts_with, write_output
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from catalog.terrain.dem.file import path_of
+from catalog.terrain.error_model import StatedError
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder, write_folder
@@ -47,6 +48,11 @@ GROUNDS = ("Ground off as the Moon's is from GLD100", "The simulator's own groun
 def ground_of(scenario: str) -> str:
     """Over which of GROUNDS a shipped scenario flies."""
     return GROUNDS[0] if scenario.startswith("real_") else GROUNDS[1]
+
+
+def stated_error_of(scenario: str) -> StatedError:
+    """What is stated of the model's error that a shipped scenario flies over: that of real_*."""
+    return StatedError("gld100") if ground_of(scenario) == GROUNDS[0] else StatedError()
 
 
 @dataclass(frozen=True)

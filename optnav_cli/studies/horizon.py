@@ -4,8 +4,8 @@ Every row takes the pictures of a shipped scenario (ground of 32 pixels a degree
 below) and solves each from its limb alone: as a sphere's, and over a relief of 16 cells a degree;
 with the exact attitude, and with one that is off by 10 arc seconds an axis. Nothing else is stated
 but the Sun. In real rows the pictures show ground that differs from that model as the Moon does, at
-all scales and in albedo. Errors are those over the ground below the camera and in height; far away
-those of direction and range.
+all scales and in albedo, and the relief's error is stated as GLD100's. Errors are those over the
+ground below the camera and in height; far away those of direction and range.
 """
 
 import time
@@ -154,7 +154,8 @@ def run(
     results: list[HorizonResult] = []
     for row in chosen:
         folder = read_folder(flights.shipped_pictures(output, row.scenario, frames, progress))
-        results.append(measure(row, folder, load_relief(str(globe), folder.body)))
+        relief = load_relief(str(globe), folder.body, flights.stated_error_of(row.scenario))
+        results.append(measure(row, folder, relief))
         StudyReport((*report(results).tables, _ways(results))).write(output / flights.FIGURES)
     return results
 

@@ -28,7 +28,7 @@ from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.measurements.limb.detection import LimbPoints
-from optnav_cli.navigation.horizon.limb_rays import LimbRays, edge_errors, limb_rays_of
+from optnav_cli.navigation.horizon.limb_rays import LimbRays, edge_errors, in_sectors, limb_rays_of
 from optnav_cli.navigation.horizon.relief_skyline import relief_skyline
 from optnav_cli.navigation.horizon.sizes import FILE, HorizonSizes, horizon_sizes
 from optnav_cli.navigation.horizon.skyline import follow, usable_rays, with_limb_errors
@@ -36,8 +36,8 @@ from optnav_cli.navigation.outline.one_body import detect_limb
 from optnav_cli.studies import flights, likelihood
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
-FITTED = ("horizon_100km",)
-SCORED = ("real_horizon_050km", "real_horizon_100km", "real_horizon_200km")
+FITTED = ("horizon_100km", "real_horizon_100km")
+SCORED = ("real_horizon_050km", "real_horizon_200km")
 NAMES = [
     "light.noise_px",
     "light.sector_px",
@@ -45,6 +45,7 @@ NAMES = [
     "light.sector_fall_deg",
     "crest.noise_m",
     "crest.sigma_m",
+    "crest.model_sector",
 ]
 MAX_FACTOR = 4.0
 MAX_SIGMAS = 5.0  # points beyond are no errors of a size but other crests
@@ -68,6 +69,7 @@ class TrueLimb:
     missed  (n,) rad, how far out each point was found
     rays, azimuths, sun_sine  of the points, as `SkylineFit` has them
     distance_m   to the limb;  cells  posting of the relief in those of [crest]
+    model_m      stated error of the relief's model, 0 for none
     seen         all of the limb, to be solved with other sizes; None: not scored
     """
 
@@ -78,6 +80,7 @@ class TrueLimb:
     sun_sine: FloatArray
     distance_m: float
     cells: float
+    model_m: float = 0.0
     seen: SeenLimb | None = None
 
     def errors(self, sizes: HorizonSizes) -> tuple[FloatArray, FloatArray]:
@@ -86,7 +89,8 @@ class TrueLimb:
         own = self.rays.own_sigmas(sizes.light) ** 2 + (sizes.crest.noise_m * crest) ** 2
         shared = edge_errors(self.rays, self.azimuths, self.sun_sine, sizes.light)
         height = np.full((len(own), 1), sizes.crest.sigma_m * crest)
-        return own, np.concatenate([shared, height], axis=1)
+        model = in_sectors(self.azimuths) * (sizes.crest.model_sector * self.model_m)
+        return own, np.concatenate([shared, height, model / self.distance_m], axis=1)
 
 
 def run(
@@ -126,7 +130,7 @@ def gathered(
 ) -> list[TrueLimb]:
     """The limbs of a scenario's pictures from their true poses; without those that have none."""
     pictures = read_folder(flights.shipped_pictures(folder, name, frames, progress))
-    relief = load_relief(str(globe), pictures.body)
+    relief = load_relief(str(globe), pictures.body, flights.stated_error_of(name))
     truths = {t.file: t for t in read_truth(pictures.path / "truth.csv", pictures.attitude)}
     found = []
     for frame in pictures.frames:
@@ -159,6 +163,7 @@ def of_limb(case: str, seen: SeenLimb) -> TrueLimb:
         sun_sine[usable],
         float(np.sqrt(max(distance**2 - relief.radius_m**2, 1.0))),
         relief.posting_m / horizon_sizes().crest.posting_m,
+        relief.error_m or 0.0,
         seen,
     )
     own, shared = limb.errors(horizon_sizes())
@@ -245,7 +250,7 @@ def report(result: HorizonFitResult) -> StudyReport:
     )
     sizes = likelihood.sizes_table(numbers(result.old), numbers(result.new), found)
     scores: list[tuple[Cell, ...]] = []
-    for ground, limbs in (("fitted with", result.fit), ("other ground", result.held)):
+    for ground, limbs in (("fitted with", result.fit), ("held back", result.held)):
         for name in dict.fromkeys(limb.case for limb in limbs):
             own = [limb for limb in limbs if limb.case == name]
             nees = [np.array([position_nees(limb, s) for limb in own])

@@ -22,6 +22,7 @@ class GlobalRelief:
     max_heights  (n, 2n) float32, its highest place, m: at least the mean
     radius_m     of the reference sphere
     source       the terrain models that it was made from
+    error_m      stated error of the model that shows most of it (`TerrainErrorModel`); None: none
 
     Row 0 lies half a step south of the north pole, column 0 half a step east of longitude -180.
     """
@@ -30,6 +31,7 @@ class GlobalRelief:
     max_heights: Float32Array
     radius_m: float
     source: str
+    error_m: float | None = None
 
     @property
     def step_rad(self) -> float:

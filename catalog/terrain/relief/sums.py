@@ -6,6 +6,7 @@ the cell that their middle lies in.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -19,6 +20,7 @@ from catalog.geometry.kernel import kernel
 from catalog.progress import Progress, SilentProgress
 from catalog.terrain.dem.georeference import CYLINDRICAL, Georeference
 from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.error_model import StatedError, TerrainErrorModel
 from catalog.terrain.relief.relief import GlobalRelief
 
 Window = tuple[int, int, int, int]  # first row, first column, height, width
@@ -187,15 +189,18 @@ def finished(sums: CellSums, radius_m: float, source: str) -> GlobalRelief:
 
 
 @lru_cache(maxsize=2)
-def load_relief(path: str, body: Body) -> GlobalRelief:
+def load_relief(path: str, body: Body, stated: StatedError | None = None) -> GlobalRelief:
     """The relief of a terrain model file, "bundled:NAME" for one that travels with optnav.
 
+    stated  of the model's error
     Read once a process. Raises DataError.
     """
     try:
         source = DemSource.open(DemSettings(path=path), Path(), body)
         try:
-            return relief_from_dem(source)
+            relief = relief_from_dem(source)
+            error = TerrainErrorModel.of(stated or StatedError(), relief.posting_m)
+            return relief if error is None else replace(relief, error_m=error.error_m)
         finally:
             source.close()
     except DataError as error:

@@ -39,12 +39,12 @@ class ReliefSkyline:
     """A relief made ready for skylines, and how well these are known; see `BodySkyline`.
 
     crest_noise_m  of a single crest
+    sector_sigma_m that crests of a sector share by the model's error
     light          other sizes of errors by light than the shipped ones
     """
 
     max_passes = MAX_PASSES
     must_converge = False
-    sector_sigma_m = 0.0
 
     def __init__(
         self,
@@ -52,10 +52,12 @@ class ReliefSkyline:
         body_name: str,
         crest_noise_m: float,
         crest_sigma_m: float,
+        sector_sigma_m: float = 0.0,
         light: LightSizes | None = None,
     ) -> None:
         self.limb, self._body_name, self.light = limb, body_name, light
         self.crest_noise_m, self.crest_sigma_m = crest_noise_m, crest_sigma_m
+        self.sector_sigma_m = sector_sigma_m
 
     def fit(self, rays: LimbRays, position: FloatArray, sun: FloatArray | None) -> SkylineFit:
         """As `BodySkyline.fit`: a fit to the skyline without its outliers."""
@@ -149,15 +151,16 @@ def relief_skyline(
     sizes, light = (other or horizon_sizes()).crest, None if other is None else other.light
     cells = relief.posting_m / sizes.posting_m
     noise, sigma = sizes.noise_m * cells, sizes.sigma_m * cells
+    sector = sizes.model_sector * (relief.error_m or 0.0)
     rise = float(np.mean(relief.max_heights - relief.heights))
     if rise < NO_TOPS * relief.posting_m:
         lift = sizes.lift * relief.posting_m
         lifted = relief.heights + np.float32(lift)
         flat = GlobalRelief(lifted, lifted, relief.radius_m, relief.source)
         sigma = max(sigma, sizes.lift_sigma * lift)
-        return ReliefSkyline(LimbRelief(flat, 0.0), body_name, noise, sigma, light)
+        return ReliefSkyline(LimbRelief(flat, 0.0), body_name, noise, sigma, sector, light)
     share = sizes.top_share + sizes.top_share_more / max(cells, 1.0)
-    return ReliefSkyline(LimbRelief(relief, share), body_name, noise, sigma, light)
+    return ReliefSkyline(LimbRelief(relief, share), body_name, noise, sigma, sector, light)
 
 
 def _near(places: IntArray, count: int, reach: int) -> BoolArray:

@@ -26,6 +26,7 @@ class CrestSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     posting_m: Positive
     noise_m: Positive
     sigma_m: Positive
+    model_sector: Positive
     lift: Positive
     lift_sigma: Positive
 

@@ -6,6 +6,7 @@ import sqlite3
 import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from catalog.store.reader import Catalog
 from catalog.store.relief import prepare_relief
 from catalog.store.verify import verify
 from catalog.store.writer import Written, write_catalog
+from catalog.terrain.error_model import TerrainErrorModel
 from catalog.terrain.relief.relief import GlobalRelief
 from tests.catalog.store.test_format import heights_of, read_as_described
 
@@ -88,6 +90,19 @@ def test_heights_come_back_within_half_a_metre_and_tops_as_bounds(carried: Writt
     assert above.min() >= -0.5001
     assert above.max() <= 4.5
     assert (relief.max_heights >= relief.heights).all()
+
+
+def test_the_stated_error_of_its_first_model_comes_with_it(world: Any, tmp_path: Path) -> None:
+    error = TerrainErrorModel(28.0, 1.6, 2.0, "test")
+    for model, wanted in (("first.tif", 28.0), ("third.tif", None)):
+        meta = replace(world.meta, terrain_errors={model: error})
+        steps = (meta.height_step_m,) * meta.levels
+        points = (prepare_point(point, patches, steps) for point, patches in world.points)
+        ready = prepare_relief(made_relief())
+        with Catalog.open(write_catalog(tmp_path / model, meta, points, relief=ready).path) as made:
+            relief = made.relief()
+        assert relief is not None
+        assert relief.error_m == wanted
 
 
 def test_whole_metres_come_back_as_they_are(put: Callable[..., Written]) -> None:

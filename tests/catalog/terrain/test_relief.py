@@ -11,6 +11,7 @@ from rasterio.warp import Resampling, reproject
 from catalog.config import resource
 from catalog.errors import DataError
 from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.error_model import StatedError
 from catalog.terrain.relief import sums
 from catalog.terrain.relief.sums import load_relief, relief_from_dem, rows_of
 
@@ -65,6 +66,8 @@ def test_a_coarse_model_keeps_its_own_grid(moon):
     np.testing.assert_array_equal(relief.heights, raw)
     np.testing.assert_array_equal(relief.max_heights, raw)
     assert load_relief("bundled:moon_gld100_4ppd.tif", moon) is relief
+    assert relief.error_m is None
+    assert load_relief("bundled:moon_gld100_4ppd.tif", moon, StatedError("gld100")).error_m == 28.0
     assert rows_of(np.radians(1.0 / 32.0)) == 2880
 
 

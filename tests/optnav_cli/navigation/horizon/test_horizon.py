@@ -1,5 +1,7 @@
 """Positions from limb points whose truth is known; the pictures are the studies' business."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -136,6 +138,17 @@ def test_a_relief_without_tops_is_lifted_by_what_its_cells_hide():
     assert 100.0 < lifted < 700.0
     assert up @ fix.covariance_m2 @ up > 0.1 * lifted**2
     assert up @ sharp.covariance_m2 @ up < 120.0**2
+
+
+def test_a_stated_error_of_the_relief_s_model_widens_the_fix():
+    position = place(1e5, 4)
+    turned = attitude(position)
+    points = limb_points(position, turned)
+    exact, wrong = (
+        navigate(points, CAMERA, turned, 0.0, None, MOON, replace(grounds()[1], error_m=error_m))
+        for error_m in (None, 280.0)
+    )
+    assert np.trace(wrong.covariance_m2) > np.trace(exact.covariance_m2) + 50.0**2
 
 
 def test_a_limb_of_other_ground_is_no_position():
