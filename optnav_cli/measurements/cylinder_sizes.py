@@ -14,6 +14,7 @@ from catalog.config import load_toml, resource
 FILE = "configs/models/cylinder.toml"
 GRAZING_DEG, GRAZING_SPAN_DEG = 90.0, 47.0  # from where on light grazes, and to where sizes are of
 CRESCENT_DEG, CRESCENT_SPAN_DEG = 145.0, 10.0  # from where on a few pixels are lit, and hardly so
+Share = Annotated[float, Meta(ge=0.0, le=0.1)]
 Size = Annotated[float, Meta(ge=0.0, le=100.0)]
 
 
@@ -22,8 +23,9 @@ class CylinderErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
     theta_deg: Size
     theta_grazing_deg: Size
-    distance_radii: Size
-    distance_grazing_radii: Size
+    distance_share: Share
+    distance_grazing_share: Share
+    distance_crescent_share: Share
     theta_crescent_deg: Size
     alike_deg: Annotated[float, Meta(gt=0.0, le=360.0)]
 
@@ -33,14 +35,15 @@ class CylinderErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True
         found: FloatArray = np.exp(-np.minimum(apart, 360.0 - apart) / self.alike_deg)
         return found
 
-    def variances(self, theta: float, radius_m: float) -> tuple[float, float]:
+    def variances(self, theta: float, distance_m: float) -> tuple[float, float]:
         """Of the distance, m², and of theta, rad², at an angle of the light, rad."""
         grazing = grazing_of(theta)
-        radii = self.distance_radii**2 + (self.distance_grazing_radii * grazing) ** 2
+        share = self.distance_share**2 + (self.distance_grazing_share * grazing) ** 2
         thin = max(math.degrees(abs(theta)) - CRESCENT_DEG, 0.0) / CRESCENT_SPAN_DEG
+        share += (self.distance_crescent_share * thin) ** 2
         degrees = self.theta_deg**2 + (self.theta_grazing_deg * grazing) ** 2
         degrees += (self.theta_crescent_deg * thin) ** 2
-        return radii * radius_m**2, degrees * math.radians(1.0) ** 2
+        return share * distance_m**2, degrees * math.radians(1.0) ** 2
 
 
 def grazing_of(theta: float) -> float:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import cv2
+import msgspec
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
@@ -32,7 +33,11 @@ from optnav_cli.measurements.cylinder import (
 )
 from optnav_cli.measurements.cylinder_fit import CylinderFit, IdealLens, fit_cylinder
 from optnav_cli.measurements.cylinder_profile import measure_profile, seed_extent
-from optnav_cli.measurements.cylinder_sizes import CRESCENT_DEG, cylinder_sizes
+from optnav_cli.measurements.cylinder_sizes import (
+    CRESCENT_DEG,
+    CylinderErrorSizes,
+    cylinder_sizes,
+)
 from optnav_cli.output.cylinder_overlay import cylinder_overlay
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
@@ -240,14 +245,20 @@ def rectified(values: Float32Array, camera: Camera) -> Float32Array:
     return cv2.undistort(values, matrix, np.array(camera.coefficients)).astype(np.float32)
 
 
-def with_velocities(rows: Sequence[CylinderRow], radius_m: float) -> list[CylinderRow]:
+def with_velocities(
+    rows: Sequence[CylinderRow], radius_m: float, alike_deg: float | None = None
+) -> list[CylinderRow]:
     """Rows with velocities by three neighbours in time: a line at their middle, or a parabola.
 
     The positions are those of the camera about the axis: x towards the light, y where theta grows.
     Errors that neighbours have in common, of cloth and lens, drop out: the noise of the pictures
     makes the sigma, and what of cloth and light changes as the light turns.
+
+    alike_deg  as in configs/models/cylinder.toml, whose it is when left out
     """
-    found = list(rows)
+    found, sizes = list(rows), cylinder_sizes()
+    if alike_deg is not None:
+        sizes = msgspec.structs.replace(sizes, alike_deg=alike_deg)
     usable = [
         n for n, row in enumerate(rows) if row.noise is not None and row.frame.tdb_s is not None
     ]
@@ -265,7 +276,7 @@ def with_velocities(rows: Sequence[CylinderRow], radius_m: float) -> list[Cylind
         weights = np.linalg.inv(np.vander(times, 3, increasing=True))[1]
         places, parts = zip(*(_place(row, radius_m) for row in three), strict=True)
         vx, vy = (float(speed) for speed in weights @ np.array(places))
-        covariance = _velocity_covariance(three, weights, parts)
+        covariance = _velocity_covariance(three, weights, parts, sizes)
         sigma = math.sqrt(float(np.trace(covariance)) / 2.0)
         found[number] = replace(rows[number], velocity=(vx, vy, sigma))
     return found
@@ -275,12 +286,13 @@ def _velocity_covariance(
     rows: Sequence[CylinderRow],
     weights: FloatArray,
     parts: Sequence[FloatArray],
+    sizes: CylinderErrorSizes,
 ) -> FloatArray:
     """(2, 2) of the sum of rows' positions with weights; parts are their derivatives.
 
     Errors of cloth and light drop out as far as they are alike.
     """
-    alike = cylinder_sizes().likeness(np.radians([row.theta_deg or 0.0 for row in rows]))
+    alike = sizes.likeness(np.radians([row.theta_deg or 0.0 for row in rows]))
     sigmas = [
         np.zeros(2) if row.common is None else np.sqrt(np.maximum(np.diag(row.common), 0.0))
         for row in rows

@@ -6,24 +6,30 @@ configs/models/cylinder.toml are found, on other cloths, another cylinder and ot
 
 import math
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from catalog.arrays import FloatArray
 from catalog.config import resource
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress, SilentProgress
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.frames.tables import CYLINDER, CYLINDER_TRUTH
+from optnav_cli.frames.tables import CYLINDER_TRUTH
 from optnav_cli.measurements.cylinder import CylinderSize, lit_edges, seed_distance_and_angle
 from optnav_cli.measurements.cylinder_fit import fit_cylinder
 from optnav_cli.measurements.cylinder_profile import measure_profile
 from optnav_cli.measurements.cylinder_sizes import CylinderErrorSizes, cylinder_sizes, grazing_of
-from optnav_cli.runs.cylinder_folder import cylinder_folder, ideal_lens
+from optnav_cli.runs.cylinder_folder import (
+    CylinderRow,
+    cylinder_folder,
+    ideal_lens,
+    with_velocities,
+)
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.cylinder_scenario import CylinderScenario
@@ -43,11 +49,11 @@ BANDS = (
 )
 FITTED_BANDS = 3  # of these, those that sizes are fitted with
 SIZE, FITTED_SIZE = CylinderSize(0.14, 0.15), CylinderSize(0.10, 0.20)
-FITTED_CLOTH = SurfaceSettings(gloss=0.15, gloss_power=15.0)  # of the circle of a fit
+CIRCLE_PICTURES, FITTED_CIRCLES = 30, 5  # of a circle; cloths whose speeds alike_deg is fitted to
 AWAY_M, BEARING_DEG = (0.9, 2.5), 2.5  # of the surface; of the axis, to either side
 FORMULA_M, FORMULA_DEG = 1.34, (6, 15, 30, 60, 90, 120)
 SPEED_WITHIN_DEG = 130.0
-PLOTTED = 6  # numbers of a trial
+PLOTTED = 7  # numbers of a trial
 ERRORS = columns(
     "light = light [°]; trials; solved; d_rms = d, rms [mm] .2f; d_max = d, largest [mm] .2f; "
     "d_asked = asked [mm] .0f; d_nees = NEES .2f; theta_rms = θ, rms [°] .2f; "
@@ -64,7 +70,7 @@ FORMULA = columns("true = true θ [°]; printed = formula (6) [°] .1f; exact = 
 
 @dataclass(frozen=True, eq=False)
 class CylinderFigures:
-    """Trials (n, 6): band, theta deg, error and sigma of d m, of theta deg; other rows; sizes.
+    """Trials (n, 7): band, theta deg, error and sigma of d m, of theta deg, distance m; other rows.
 
     lost  reasons of pictures without a number, with the band of each
     """
@@ -75,6 +81,26 @@ class CylinderFigures:
     speed: list[tuple[Cell, ...]]
     formula: list[tuple[Cell, ...]]
     fitted: CylinderErrorSizes | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Circle:
+    """A run of pictures from a circle: its rows, and true velocities (n, 2), m/s."""
+
+    rows: list[CylinderRow]
+    true_m_s: FloatArray
+    radius_m: float
+
+    def speeds(self, alike_deg: float | None = None) -> tuple[FloatArray, FloatArray]:
+        """Errors (m, 2) of velocities, m/s, and their stated sigmas (m,)."""
+        rows = with_velocities(self.rows, self.radius_m, alike_deg)
+        errors, sigmas = [], []
+        for row, true in zip(rows, self.true_m_s, strict=True):
+            if row.velocity is None or abs(row.theta_deg or 0.0) > SPEED_WITHIN_DEG:
+                continue
+            errors.append(np.array(row.velocity[:2]) - true)
+            sigmas.append(row.velocity[2])
+        return np.array(errors), np.array(sigmas)
 
 
 def run(progress: Progress, trials: int = 40, seed: int = 1, fit: bool = False) -> CylinderFigures:
@@ -93,15 +119,19 @@ def run(progress: Progress, trials: int = 40, seed: int = 1, fit: bool = False) 
                 bar.advance()
     table = np.array(found).reshape(-1, PLOTTED)
     if fit:
-        sizes = fitted_sizes(table)
-        return CylinderFigures(table, lost, trials, [_circled(progress, fit)], [], sizes)
-    return CylinderFigures(table, lost, trials, [_circled(progress, fit)], _formula())
+        rng = np.random.default_rng([seed, len(bands)])
+        circles = [_circled(progress, _other_cloth(rng), n) for n in range(1, FITTED_CIRCLES + 1)]
+        alike = fitted_alike_deg(circles)
+        sizes = msgspec.structs.replace(fitted_sizes(table), alike_deg=alike)
+        return CylinderFigures(table, lost, trials, [_speed_row(circles, alike)], [], sizes)
+    speed = _speed_row([_circled(progress)])
+    return CylinderFigures(table, lost, trials, [speed], _formula())
 
 
 def _trial(
     rng: np.random.Generator, light: tuple[float, float], fit: bool
-) -> tuple[float, float, float, float, float]:
-    """Angle of the light, error and sigma of the distance, m, and of the angle, deg."""
+) -> tuple[float, float, float, float, float, float]:
+    """Angle of the light, error and sigma of the distance, m, of the angle, deg; the distance."""
     size, surface = (FITTED_SIZE, _other_cloth(rng)) if fit else (SIZE, _cloth(rng))
     theta = math.radians(rng.uniform(*light)) * float(rng.choice([-1.0, 1.0]))
     distance = size.radius_m + float(rng.uniform(*AWAY_M))
@@ -116,7 +146,7 @@ def _trial(
     sigma = np.sqrt(np.diag(fix.covariance))
     off = math.degrees((fix.theta - theta + math.pi) % (2.0 * math.pi) - math.pi)
     place = fix.distance_m - distance, float(sigma[0])
-    return math.degrees(abs(theta)), *place, off, math.degrees(sigma[2])
+    return math.degrees(abs(theta)), *place, off, math.degrees(sigma[2]), distance
 
 
 def _cloth(rng: np.random.Generator) -> SurfaceSettings:
@@ -142,11 +172,11 @@ def _other_cloth(rng: np.random.Generator) -> SurfaceSettings:
 
 
 def fitted_sizes(trials: FloatArray) -> CylinderErrorSizes:
-    """The sizes under which the errors of trials (n, 6) are likeliest."""
+    """The sizes under which the errors of trials (n, 7) are likeliest."""
     grazing = np.array([grazing_of(math.radians(theta)) for theta in trials[:, 1]])
     present = cylinder_sizes()
     sizes: list[float] = []
-    for place, unit in ((2, FITTED_SIZE.radius_m), (4, 1.0)):
+    for place, unit in ((2, trials[:, 6]), (4, np.ones(len(trials)))):
         off, sigma = trials[:, place] / unit, trials[:, place + 1] / unit
         known = np.array([present.variances(math.radians(t), 1.0) for t in trials[:, 1]])
         # the picture's part: without the present sizes
@@ -160,43 +190,55 @@ def fitted_sizes(trials: FloatArray) -> CylinderErrorSizes:
         start = np.full(2, math.log(max(rms(off), 1e-6)))
         sizes += np.exp(minimize(cost, start, method="Nelder-Mead").x).tolist()
     return CylinderErrorSizes(
-        distance_radii=sizes[0],
-        distance_grazing_radii=sizes[1],
+        distance_share=sizes[0],
+        distance_grazing_share=sizes[1],
         theta_deg=sizes[2],
         theta_grazing_deg=sizes[3],
+        distance_crescent_share=present.distance_crescent_share,
         theta_crescent_deg=present.theta_crescent_deg,
         alike_deg=present.alike_deg,
     )
 
 
-def _circled(progress: Progress, fit: bool, pictures: int = 30) -> tuple[Cell, ...]:
-    """Speeds of the shipped craft that circles, by three pictures 2 s apart each."""
+def _circled(progress: Progress, surface: SurfaceSettings | None = None, number: int = 0) -> Circle:
+    """The shipped craft that circles, with its cloth or another one: pictures 2 s apart."""
     scenario = load_scenario(resource(SCENARIO))
     if not isinstance(scenario, CylinderScenario):
         raise TypeError(f"{SCENARIO} is no scenario of a cylinder")
-    if fit:
-        cylinder = msgspec.structs.replace(scenario.cylinder, surface=FITTED_CLOTH)
-        scenario = msgspec.structs.replace(scenario, cylinder=cylinder, seed=scenario.seed + 1)
+    if surface is not None:
+        cylinder = msgspec.structs.replace(scenario.cylinder, surface=surface)
+        scenario = msgspec.structs.replace(scenario, cylinder=cylinder, seed=scenario.seed + number)
     with tempfile.TemporaryDirectory() as folder:
         drawn, run_folder = Path(folder) / "pictures", Path(folder) / "run"
-        simulate_folder(scenario.shortened(pictures), drawn, SilentProgress(), workers=1)
-        cylinder_folder(drawn, run_folder, "fit", progress)
-        rows = CYLINDER.rows(run_folder / "cylinder.csv")
+        simulate_folder(scenario.shortened(CIRCLE_PICTURES), drawn, SilentProgress(), workers=1)
+        rows = cylinder_folder(drawn, run_folder, "fit", progress)
         truths = CYLINDER_TRUTH.rows(drawn / "truth.csv")
-    off, sigmas, speeds = [], [], []
-    for row, truth in zip(rows, truths, strict=True):
-        sigma, theta = row.number("v_sigma_m_s"), abs(truth.number("theta_deg") or 0.0)
-        if sigma is None or theta > SPEED_WITHIN_DEG:
-            continue
-        names = ("vx_m_s", "vy_m_s")
-        true = np.array([truth.number(name) or 0.0 for name in names])
-        speeds.append(float(np.hypot(*true)))
-        off.append(np.array([row.number(name) or 0.0 for name in names]) - true)
-        sigmas.append(sigma)
-    errors, stated = 1e3 * np.array(off), 1e3 * np.array(sigmas)
+    true = [[truth.number(name) or 0.0 for name in ("vx_m_s", "vy_m_s")] for truth in truths]
+    return Circle(rows, np.array(true), scenario.cylinder.radius_m)
+
+
+def fitted_alike_deg(circles: Sequence[Circle]) -> float:
+    """The alike_deg under which the errors of speeds of circles are likeliest."""
+
+    def cost(log_alike: float) -> float:
+        total = 0.0
+        for circle in circles:
+            errors, sigmas = circle.speeds(math.exp(log_alike))
+            total += float(np.sum(4.0 * np.log(sigmas) + (errors**2).sum(axis=1) / sigmas**2))
+        return total
+
+    found = minimize_scalar(cost, bounds=(0.0, math.log(90.0)), method="bounded")
+    return math.exp(float(found.x))
+
+
+def _speed_row(circles: Sequence[Circle], alike_deg: float | None = None) -> tuple[Cell, ...]:
+    """Errors of speeds by three pictures each."""
+    each = [circle.speeds(alike_deg) for circle in circles]
+    errors = 1e3 * np.concatenate([errors for errors, _ in each])
+    stated = 1e3 * np.concatenate([sigmas for _, sigmas in each])
     nees = float(np.mean((errors / stated[:, None]) ** 2))
     largest = float(np.hypot(*errors.T).max())
-    speed = 1e3 * float(np.mean(speeds))
+    speed = 1e3 * float(np.mean([np.hypot(*circle.true_m_s.T).mean() for circle in circles]))
     return len(errors), speed, rms(errors.ravel()), largest, 1.0, rms(stated), nees
 
 
@@ -216,7 +258,7 @@ def _formula() -> list[tuple[Cell, ...]]:
 
 def _row(result: CylinderFigures, band: int) -> tuple[Cell, ...]:
     (low, high), (most_m, most_deg) = BANDS[band]
-    _, _, d_off, d_sigma, off, sigma = result.trials[result.trials[:, 0] == band].T
+    _, _, d_off, d_sigma, off, sigma, _ = result.trials[result.trials[:, 0] == band].T
     kept = (np.abs(d_off) <= most_m) & (np.abs(off) <= most_deg)
     held = (np.abs(d_off) <= 3.0 * d_sigma) & (np.abs(off) <= 3.0 * sigma)
     share = 100.0 * float(np.mean(kept)) if math.isfinite(most_m) else math.nan

@@ -8,22 +8,56 @@ import numpy as np
 import pytest
 
 from catalog.progress import SilentProgress
+from optnav_cli.frames.frames import Frame
 from optnav_cli.measurements.cylinder_sizes import CylinderErrorSizes, cylinder_sizes, grazing_of
+from optnav_cli.runs.cylinder_folder import CylinderRow
 from optnav_cli.studies import cylinder
 
 FIGURES = Path(cylinder.__file__).parent / "figures" / "cylinder.json"
 
 
 def test_few_pictures_are_within_what_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cylinder, "_circled", lambda *_: (30, 49.0, 0.4, 1.0, 1.0, 0.5, 0.7))
+    monkeypatch.setattr(cylinder, "_circled", lambda *_: None)
+    monkeypatch.setattr(cylinder, "_speed_row", lambda *_: (30, 49.0, 0.4, 1.0, 1.0, 0.5, 0.7))
     figures = cylinder.run(SilentProgress(), trials=1)
     assert len(figures.trials) + len(figures.lost) == len(cylinder.BANDS)
-    for band, _, d_off, _, off, _ in figures.trials[:3]:
+    for band, _, d_off, _, off, *_ in figures.trials[:3]:
         most_m, most_deg = cylinder.BANDS[int(band)][1]
         assert abs(d_off) < most_m
         assert abs(off) < most_deg
     text = cylinder.report(figures).to_text()
     assert "Formula (6) as printed" in text
+
+
+def test_speeds_are_likeliest_with_the_likeness_that_they_were_drawn_with() -> None:
+    """Angles whose common errors fade over 12 deg of light, seen from a circle."""
+    rng = np.random.default_rng(5)
+    theta = np.arange(-100.0, 100.0, 4.0)
+    likeness = np.exp(-np.abs(theta[:, None] - theta) / 12.0)
+    circles = []
+    for _ in range(12):
+        off = math.radians(0.1) * np.linalg.cholesky(likeness) @ rng.normal(size=len(theta))
+        circles.append(drawn_circle(theta, off))
+    assert cylinder.fitted_alike_deg(circles) == pytest.approx(12.0, rel=0.25)
+
+
+def drawn_circle(theta: np.ndarray, off: np.ndarray) -> cylinder.Circle:
+    """Rows of pictures 2 s apart at 1.2 m from the surface, with errors of the angle, rad."""
+    rows = []
+    for number, (true, error) in enumerate(zip(theta, off, strict=True)):
+        utc = f"2026-01-01T00:{number // 30:02}:{2 * number % 60:02}Z"
+        frame = Frame(f"{number}.png", utc, "lab", tdb_s=2.0 * number)
+        seen = true + math.degrees(error)
+        common = np.diag([0.0, math.radians(0.1) ** 2])
+        rows.append(
+            CylinderRow(
+                frame, "ok", 1.2, 1e-4, seen, 0.1, 0.0, noise=np.zeros((2, 2)), common=common
+            )
+        )
+    rate = math.radians(2.0)
+    angle = np.radians(theta)
+    true_m_s = 1.34 * rate * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    return cylinder.Circle(rows, true_m_s, 0.14)
 
 
 def test_the_printed_formula_gives_31_degrees_for_the_full_face() -> None:
@@ -37,17 +71,18 @@ def test_sizes_that_errors_were_drawn_with_are_found_again() -> None:
     true = CylinderErrorSizes(
         theta_deg=0.3,
         theta_grazing_deg=1.5,
-        distance_radii=0.002,
-        distance_grazing_radii=0.01,
+        distance_share=2e-4,
+        distance_grazing_share=1e-3,
+        distance_crescent_share=0.0,
         theta_crescent_deg=0.0,
         alike_deg=150.0,
     )
     theta = rng.uniform(5.0, 145.0, 4000)
     grazing = np.array([grazing_of(math.radians(t)) for t in theta])
     own_m, own_deg = np.full(4000, 1e-4), np.full(4000, 0.1)
-    d_sigma = cylinder.FITTED_SIZE.radius_m * np.hypot(0.002, 0.01 * grazing)
+    d_sigma = 1.5 * np.hypot(2e-4, 1e-3 * grazing)
     sigma = np.hypot(0.3, 1.5 * grazing)
-    shipped = np.array([cylinder_sizes().variances(math.radians(t), 0.10) for t in theta])
+    shipped = np.array([cylinder_sizes().variances(math.radians(t), 1.5) for t in theta])
     table = np.stack(
         [
             np.zeros(4000),
@@ -56,11 +91,12 @@ def test_sizes_that_errors_were_drawn_with_are_found_again() -> None:
             np.sqrt(own_m**2 + shipped[:, 0]),
             rng.normal(0.0, np.hypot(own_deg, sigma)),
             np.sqrt(own_deg**2 + shipped[:, 1] * math.degrees(1.0) ** 2),
+            np.full(4000, 1.5),
         ],
         axis=1,
     )
     found = cylinder.fitted_sizes(table)
-    for name in ("theta_deg", "theta_grazing_deg", "distance_radii", "distance_grazing_radii"):
+    for name in ("theta_deg", "theta_grazing_deg", "distance_share", "distance_grazing_share"):
         assert getattr(found, name) == pytest.approx(getattr(true, name), rel=0.15)
 
 
