@@ -23,6 +23,7 @@ from catalog.progress import Progress
 from optnav_cli.evaluation.evaluation import Evaluation, pool
 from optnav_cli.evaluation.figures import Figures, FrameError, figures_of, none_solved
 from optnav_cli.evaluation.files import evaluate_run
+from optnav_cli.output.run_folder import SOLUTION
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.studies import flights
@@ -94,13 +95,18 @@ class FlightResult:
 
 
 def run(
-    output: Path, progress: Progress, frames: int | None = None, rows: str = ""
+    output: Path,
+    progress: Progress,
+    frames: int | None = None,
+    rows: str = "",
+    kept: bool = False,
 ) -> list[FlightResult]:
     """Fly, navigate and evaluate every row; pictures that are there already are used again.
 
     output  folder for catalogs, pictures, runs and figures.json
     frames  pictures of a scenario, its own number when None
     rows    only rows whose name contains this
+    kept    runs that the folder holds are evaluated as they are, not made again
     Raises ConfigError where a row needs shared data that are not named.
     """
     chosen = flights.rows_named(ROWS, rows)
@@ -108,7 +114,6 @@ def run(
     make_folder(output)
     results: list[FlightResult] = []
     for row in chosen:
-        catalog = case_catalog(output, row.catalog, row.cell_deg, progress, row.bbox)
         for star_sensor in (False, True):
             parts = []
             for name in row.scenarios:
@@ -117,9 +122,12 @@ def run(
                     pictures = flights.with_star_sensor(pictures)
                 place = output / "runs" / f"{pictures.name}-{row.cell_deg:g}deg"
                 place.parent.mkdir(exist_ok=True)
-                # a row without any solution is a figure, too
-                with suppress(NothingToDoError):
-                    navigate_folder(RunInputs(pictures, [catalog]), place, progress)
+                if not (kept and (place / SOLUTION).is_file()):
+                    wanted = row.catalog, row.cell_deg
+                    catalog = case_catalog(output, *wanted, progress, row.bbox)
+                    # a row without any solution is a figure, too
+                    with suppress(NothingToDoError):
+                        navigate_folder(RunInputs(pictures, [catalog]), place, progress)
                 parts.append(evaluate_run(place, pictures / "truth.csv"))
             evaluation = pool(parts)
             limit = row.horizontal_m

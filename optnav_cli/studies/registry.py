@@ -276,7 +276,16 @@ _OTHERS = (
         from GLD100; that of 474 m needs the map in the folder that OPTNAV_SHARED_DATA names. All
         pictures take two to four hours on two cores; --frames 10 gives a first look.""",
         '--frames 10 --rows "unk 200"',
-        _flights("navigation", _RUNS, "unk 200"),
+        (
+            *_flights("navigation", _RUNS, "unk 200"),
+            option(
+                "--kept",
+                bool,
+                False,
+                "Evaluate the runs that the folder holds as they are.",
+                is_flag=True,
+            ),
+        ),
     ),
     Study(
         "phobos",

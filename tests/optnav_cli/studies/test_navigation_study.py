@@ -10,6 +10,7 @@ from catalog.progress import SilentProgress
 from optnav_cli.evaluation.evaluation import Evaluation
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.studies import navigation
 from optnav_cli.studies.flights import GROUNDS
 from optnav_cli.studies.navigation import ROWS, FlightResult, report, run
 from tests.optnav_cli.rows import solved, unsolved
@@ -63,3 +64,20 @@ def test_the_worst_frame_and_the_share_of_solved_frames_are_told_beside_what_is_
     assert found.tables[0].column("worst") == [2.0, 5.0, None]
     assert any("solved 2 of 3 frames (66.7 %)" in note for note in found.notes)
     assert any(f"worst frame 5.0 σ ({REAL.name}, 10″)" in note for note in found.notes)
+
+
+def test_kept_runs_are_evaluated_without_a_catalog(tmp_path, monkeypatch) -> None:
+    place = tmp_path / "runs" / "real_unk_200km-1deg"
+    place.mkdir(parents=True)
+    (place / "solution.csv").touch()
+    asked = []
+    monkeypatch.setattr(
+        navigation.flights, "shipped_pictures", lambda *_: tmp_path / REAL.scenarios[0]
+    )
+    monkeypatch.setattr(navigation.flights, "with_star_sensor", lambda pictures: pictures)
+    monkeypatch.setattr(
+        navigation, "evaluate_run", lambda run, _: asked.append(run) or evaluation(5.0)
+    )
+    found = run(tmp_path, SilentProgress(), rows=REAL.name, kept=True)
+    assert asked == [place, place]
+    assert [result.evaluation.frames[0].file for result in found] == ["a.png", "a.png"]
