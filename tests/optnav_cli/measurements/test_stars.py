@@ -141,6 +141,24 @@ def test_without_aberration_the_attitude_is_twenty_arc_seconds_off():
     assert 10.0 < np.linalg.norm(errors_arcsec(wrong, right)) < 25.0
 
 
+def test_beside_the_lit_moon_stars_without_aberration_turn_the_moon_by_twenty_arc_seconds():
+    """From 10 000 km that is a kilometre across the line of sight."""
+    picture, moon = add_body(drawn_sky(ORION)), load_body("moon")
+    seen = star_sight(picture, None, CAMERA, SkyView(moon, utc_to_tdb_s(UTC)))
+    plain = StarIdentifier(CAMERA, bright_stars().at(utc_to_tdb_s(UTC)))
+    wrong = plain.identify(find_spots(picture)).camera_from_sky
+    ground = (0.0, 0.0, 1.0)  # of a sight along the boresight, inertial axes
+    right = ORION.inv().apply(ground)
+
+    def off_arcsec(found: Rotation) -> float:
+        return float(np.linalg.norm(found.inv().apply(ground) - right)) / ARCSEC
+
+    # of the Moon's motion about the Sun, and not of the Earth's, with which the sky is drawn: 0.7"
+    assert off_arcsec(seen.camera_from_inertial) < 3.0 * seen.sigma_rad / ARCSEC
+    assert off_arcsec(seen.camera_from_inertial) < 6.0
+    assert 14.0 < off_arcsec(wrong) < 25.0
+
+
 def test_a_sight_says_its_sigma_and_a_time_not_known_widens_it():
     picture, body = drawn_sky(ORION), load_body("earth")
     known = star_sight(picture, None, CAMERA, SkyView(body, utc_to_tdb_s(UTC)))
