@@ -100,6 +100,13 @@ class _FrameOfPoints:
 
     def fix(self) -> Fix:
         """The position. Raises NoSolutionError."""
+        if not self._in_picture.any():
+            camera = self._camera
+            raise NoSolutionError(
+                f"all {len(self._points)} points lie outside the picture of {camera.width_px} x "
+                f"{camera.height_px} px; see that x_px and y_px are of this camera",
+                ReasonCode.OUTSIDE_FRAME,
+            )
         problem = self._problem(self._places)
         if len(problem.points) == 3 and problem.attitude is None:
             found, remark = self._of_three(problem), NO_REASON

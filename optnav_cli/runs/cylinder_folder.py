@@ -189,7 +189,10 @@ def _row(
     if cut:
         reason = f"the lit part touches the picture's {', '.join(cut)} edge"
     if sigma_deg > MAX_SIGMA_DEG:
-        return CylinderRow(frame, zone, reason="the angle of the light is open; " + reason)
+        return CylinderRow(frame, zone, reason=_joined("the angle of the light is open", reason))
+    if {"top", "bottom"} & set(cut) and {"left", "right"} & set(cut):
+        text = "neither its height nor its width is whole, which leaves the distance open"
+        return CylinderRow(frame, zone, reason=_joined(reason, text))
     return CylinderRow(
         frame,
         zone,
@@ -202,6 +205,10 @@ def _row(
         noise=fit.noise[np.ix_([0, 2], [0, 2])],
         common=(fit.covariance - fit.noise)[np.ix_([0, 2], [0, 2])],
     )
+
+
+def _joined(*reasons: str) -> str:
+    return "; ".join(reason for reason in reasons if reason)
 
 
 def zone_of(
@@ -270,7 +277,11 @@ def with_velocities(
         three = [rows[n] for n in usable[first : first + 3]]
         times = np.array([row.frame.tdb_s or 0.0 for row in three])
         times = times - (rows[number].frame.tdb_s or 0.0)
-        if np.diff(times).min() <= 0.0 or np.diff(times).max() > MAX_STEP_S:
+        if np.diff(times).min() <= 0.0:
+            text = "no speed: two pictures of three have one time"
+            found[number] = replace(rows[number], reason=_joined(rows[number].reason, text))
+            continue
+        if np.diff(times).max() > MAX_STEP_S:
             continue
         # the slope of the parabola through three points at the time of the row
         weights = np.linalg.inv(np.vander(times, 3, increasing=True))[1]

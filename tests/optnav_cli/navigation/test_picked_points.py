@@ -123,6 +123,17 @@ def test_points_outside_the_picture_are_left_out(tmp_path):
     assert matches[0].reason_code == ReasonCode.OUTSIDE_FRAME
 
 
+def test_points_all_outside_the_picture_are_said_to_be_so(tmp_path):
+    rows = [[row[0], 9000.0, *row[2:]] for row in rows_of(scene(1, 9))]
+    rows += rows_of(scene(1, 9), "b.png")
+    folder = write_picked(tmp_path / "f", scene(1, 9), rows, files=("a.png", "b.png"))
+    (row, other), _ = solved(folder, tmp_path / "run")
+    assert not row.solved
+    assert other.solved
+    assert row.reason_code == ReasonCode.OUTSIDE_FRAME
+    assert "all 9 points lie outside the picture of 5616 x 3744 px" in row.reason
+
+
 def exchanged(rows):
     for row in rows:
         row[LAT], row[LON] = row[LON], row[LAT]

@@ -1,7 +1,9 @@
 """`optnav cylinder` of a simulated craft, end to end, and what it says of bad folders."""
 
+import shutil
 from pathlib import Path
 
+import cv2
 import msgspec
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from optnav_cli.runs.cylinder_folder import cylinder_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.cylinder_scenario import CylinderScenario
 from optnav_cli.simulation.scenario import load_scenario
+from tests.optnav_cli.measurements.test_cylinder import seen
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +57,31 @@ def test_a_circling_craft_is_followed(pictures: Path, tmp_path: Path) -> None:
     assert sorted(p.name for p in (tmp_path / "run" / "overlays").iterdir())
     write_report(tmp_path / "run", tmp_path / "run.html")
     assert "A lit cylinder" in (tmp_path / "run.html").read_text(encoding="utf-8")
+
+
+def test_pictures_of_one_time_have_no_speed_and_say_so(pictures: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "same"
+    shutil.copytree(pictures, folder)
+    lines = (folder / "frames.csv").read_text(encoding="utf-8").splitlines()
+    time = lines[1].split(",")[1]
+    same = [lines[0], *(",".join([(c := line.split(","))[0], time, *c[2:]]) for line in lines[1:])]
+    (folder / "frames.csv").write_text("\n".join(same) + "\n", encoding="utf-8")
+    rows = cylinder_folder(folder, tmp_path / "run", "fit", SilentProgress())
+    assert all(row.d_m is not None and row.velocity is None for row in rows)
+    assert all("one time" in row.reason for row in rows)
+
+
+def test_a_strip_cut_above_and_beside_has_no_distance(pictures: Path, tmp_path: Path) -> None:
+    """Neither its height nor its width is there to measure."""
+    folder = tmp_path / "cut"
+    shutil.copytree(pictures, folder)
+    for place in sorted(folder.glob("*.png")):
+        cv2.imwrite(str(place), seen(0.35, 0.0, 40.0).astype(np.uint8))
+    with pytest.raises(NothingToDoError):
+        cylinder_folder(folder, tmp_path / "run", "fit", SilentProgress())
+    rows = CYLINDER.rows(tmp_path / "run" / "cylinder.csv")
+    assert all(row["zone"] == "cut" for row in rows)
+    assert all("neither its height nor its width" in row["reason"] for row in rows)
 
 
 def test_zones_are_shaded_in_the_plots(tmp_path: Path) -> None:
