@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc, chdtri
+from scipy.special import chdtri
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.epochs import utc_from_tdb_s
@@ -19,6 +19,7 @@ from optnav_cli.estimation.smoother import LinearArc, SmoothedArc, nuisance, smo
 from optnav_cli.orbit.first import first_orbit
 from optnav_cli.orbit.problem import OrbitProblem, Trajectory
 from optnav_cli.orbit.settings import PRIOR_SIGMAS, NoiseModel
+from optnav_cli.orbit.verdict import MEDIAN_OF_3, JudgedFit
 
 MAX_STEPS, MAX_ROUNDS = 30, 40
 SETTLED, NEAR = 1e-3, 3.0  # sigmas: of a fit, and of a start
@@ -28,15 +29,9 @@ WINDOWS_RAD = (2.2, 6.4, 16.0, math.inf)
 ROBUST_STEPS, ROBUST_CHI_SQUARE = 8, 25.0
 DOUBTED = 0.05  # weight below which a fix starts the last fit left out
 SWAMPED = 0.3  # of the largest chi-square: what the worst fix may have caused in others
-REFUTED_PROBABILITY, SHOCK_PROBABILITY = 1e-6, 1e-9
-MEDIAN_OF_3 = 2.366  # of a chi-square of three numbers
-MAX_LEFT_OUT = 1.0 / 3.0
-MAX_SCATTER = 3.0  # times the stated sigmas, of the middle fix
+SHOCK_PROBABILITY = 1e-9
 UNOBSERVED = 0.9  # of the prior's sigma
 AXES_OF = {"vertical": "NB"}  # of parameters of which one axis may be open and another not
-# Of the residuals to their sigmas; beyond it they refute the fit, below it is a remark: what stands
-# for the field that is left out is right to some tens of percent.
-MAX_RATIO = 1.5
 MIN_FIXES = 3
 MAX_BETWEEN = 100_000
 RUNAWAY_M = 1e12  # of a step: no orbit about a body is so wide
@@ -315,39 +310,19 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 def _judge(problem: OrbitProblem, found: SmoothedArc, residuals: list[FixResidual]) -> list[str]:
     """Remarks on model and noise. Raises NoSolutionError where the residuals refute them."""
-    count = len(residuals)
-    out = sum(not r.used for r in residuals)
-    scatter = math.sqrt(float(np.median([r.chi_square for r in residuals])) / MEDIAN_OF_3)
-    advice = (
-        "their covariances are too small, forces are lacking ([forces] degree), or [noise] "
-        "density_m2_s3 is too small"
+    judged = JudgedFit(
+        "fixes",
+        np.array([r.chi_square for r in residuals]),
+        MEDIAN_OF_3,
+        np.array([r.used for r in residuals]),
+        found.chi_square,
+        _freedom(problem, found),
     )
-    if scatter > MAX_SCATTER:
-        raise NoSolutionError(
-            f"the residuals refute the fit: the middle one of {count} fixes lies {scatter:.3g} "
-            f"times its sigma from the orbit of the others; {advice}"
-        )
-    if out > MAX_LEFT_OUT * count:
-        raise NoSolutionError(
-            f"the residuals refute the fit: {out} of {count} fixes would be left out; {advice}"
-        )
-    freedom = _freedom(problem, found)
-    if freedom <= 0:
-        return ["the fixes leave nothing to test the orbit by"]
-    ratio = found.chi_square / freedom
-    probability = chdtrc(freedom, found.chi_square)
-    if probability < REFUTED_PROBABILITY and ratio > MAX_RATIO**2:
-        raise NoSolutionError(
-            f"the residuals refute the fit: chi-square {found.chi_square:.0f} of {freedom}, "
-            f"{math.sqrt(ratio):.2f} times the stated sigmas; {advice}"
-        )
-    if min(probability, 1.0 - probability) < REFUTED_PROBABILITY:
-        size = "small" if ratio > 1.0 else "large"
-        return [
-            f"the fixes scatter {math.sqrt(ratio):.2f} times their stated sigmas: the covariances "
-            f"of fixes or the noise are too {size}"
-        ]
-    return []
+    return judged.remarks(
+        "their covariances are too small, forces are lacking ([forces] degree), or [noise] "
+        "density_m2_s3 is too small",
+        "the covariances of fixes or the noise are",
+    )
 
 
 def _freedom(problem: OrbitProblem, found: SmoothedArc) -> int:

@@ -5,19 +5,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import chdtrc, chdtri
+from scipy.special import chdtri
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.smoother import SmoothedArc
 from optnav_cli.orbit.fit import (
     DOUBTED,
-    MAX_LEFT_OUT,
-    MAX_RATIO,
     MAX_ROUNDS,
-    MAX_SCATTER,
     NEAR,
-    REFUTED_PROBABILITY,
     ROBUST_CHI_SQUARE,
     ROBUST_STEPS,
     SWAMPED,
@@ -30,13 +26,13 @@ from optnav_cli.orbit.fit import (
 from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.problem import OrbitPrior, Trajectory
 from optnav_cli.orbit.settings import ParameterSettings
+from optnav_cli.orbit.verdict import MAX_SCATTER, MEDIAN_OF_1, JudgedFit
 from optnav_cli.orbit.zenith import ZenithSights
 from optnav_cli.orbit.zenith_problem import ZenithProblem
 from optnav_cli.orbit.zenith_start import first_orbits
 
 NODE_RAD = 0.19  # of the motion between nodes: noise is added up in one piece
 MAX_NODES = 20_000
-MEDIAN_OF_1 = 0.455  # of a chi-square of one number
 MIN_SIGHTS = 6
 # Two first orbits whose fits differ by less in chi-square are both the sights'.
 ALIKE = 50.0
@@ -331,38 +327,16 @@ def _judged(looks: SightResidual, gate: float) -> BoolArray:
     return judged
 
 
-def _ratio(fit: ZenithFit) -> float:
-    return fit.chi_square / max(fit.degrees_of_freedom, 1)
-
-
 def _judged_fit(fit: ZenithFit) -> list[str]:
     """Remarks on sights and forces. Raises NoSolutionError where the residuals refute them."""
-    out, count = fit.count - fit.used, fit.count
-    advice = "their sigmas are too small, or forces are lacking ([forces] degree, sunlight)"
-    scatter = math.sqrt(float(np.median(fit.looks.chi_square)) / MEDIAN_OF_1)
-    if scatter > MAX_SCATTER:
-        raise NoSolutionError(
-            f"the residuals refute the fit: the middle one of {count} zenith distances lies "
-            f"{scatter:.3g} times its sigma from the orbit; {advice}"
-        )
-    if out > MAX_LEFT_OUT * count:
-        raise NoSolutionError(
-            f"the residuals refute the fit: {out} of {count} zenith distances would be left out; "
-            f"{advice}"
-        )
-    freedom = fit.degrees_of_freedom
-    if freedom <= 0:
-        return ["the zenith distances leave nothing to test the orbit by"]
-    ratio, probability = _ratio(fit), chdtrc(freedom, fit.chi_square)
-    if probability < REFUTED_PROBABILITY and ratio > MAX_RATIO**2:
-        raise NoSolutionError(
-            f"the residuals refute the fit: chi-square {fit.chi_square:.0f} of {freedom}, "
-            f"{math.sqrt(ratio):.2f} times the stated sigmas; {advice}"
-        )
-    if min(probability, 1.0 - probability) < REFUTED_PROBABILITY:
-        size = "small" if ratio > 1.0 else "large"
-        return [
-            f"the zenith distances scatter {math.sqrt(ratio):.2f} times their stated sigmas: they "
-            f"are too {size}"
-        ]
-    return []
+    judged = JudgedFit(
+        "zenith distances",
+        fit.looks.chi_square,
+        MEDIAN_OF_1,
+        fit.looks.used,
+        fit.chi_square,
+        fit.degrees_of_freedom,
+    )
+    return judged.remarks(
+        "their sigmas are too small, or forces are lacking ([forces] degree, sunlight)", "they are"
+    )
