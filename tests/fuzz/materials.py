@@ -248,6 +248,7 @@ def _write_inputs() -> None:
     _write_kernels(Path("kernels"))
     _write_flown(Path("flown"))
     _write_zenith(Path("zenith.csv"))
+    _write_dots(Path("dots.png"))
     _write_fields()
     texts = {
         "cam.toml": CAMERA,
@@ -300,6 +301,20 @@ def _write_zenith(path: Path) -> None:
         for angle, star, value in zip(angles, directions, values, strict=True)
     ]
     ZENITH.write(path, rows)
+
+
+def _write_dots(path: Path) -> None:
+    """A plane grid of 7 x 5 dots, tilted by 30 deg."""
+    tilt = np.radians(30.0)
+    picture = np.full((240, 320), 220, np.uint8)
+    for row, col in np.ndindex(5, 7):
+        x, y = 12.0 * (col - 3), 12.0 * (row - 2)
+        scale = 300.0 / (130.0 + y * np.sin(tilt))
+        middle = 159.5 + scale * x, 119.5 + scale * y * np.cos(tilt)
+        size = (round(4 * 16 * scale), round(4 * 16 * scale * np.cos(tilt)))  # 1/16 px
+        at = (round(16 * middle[0]), round(16 * middle[1]))
+        cv2.ellipse(picture, at, size, 0, 0, 360, 30, -1, cv2.LINE_AA, 4)
+    cv2.imwrite(str(path), picture)
 
 
 def _write_fields() -> None:

@@ -1,4 +1,4 @@
-"""Picked points, stars and lit cylinders: changed tables, pictures and settings."""
+"""Picked points, stars, lit cylinders, grids of dots: changed tables, pictures and settings."""
 
 from tests.fuzz.cases import NOTHING, OK, OPEN, Case, Place, kind
 from tests.fuzz.damage import damaged
@@ -40,3 +40,21 @@ def cylinder(place: Place) -> Case:
     """Distances by changed pictures of a cylinder."""
     note = _with_change(place, "lamp", ("frames.csv",), "*.png")
     return Case(("-q", "cylinder", "lamp", "-o", "new"), OPEN, "new", WRITTEN, note=note)
+
+
+@kind("sight-grid", 0.3)
+def grid(place: Place) -> Case:
+    """A lens by pictures of a grid of dots: one right, one changed or of something else."""
+    rng = place.rng
+    other = rng.choice(["dots.png", "dots.png", "pictures/frame_0000.png", "moon.toml", "dem.tif"])
+    data, note = place.material(other), "as it is"
+    if rng.random() < 0.6:
+        data, note = damaged(data, rng)
+    place.write("other.png", data)
+    place.take("dots.png")
+    size = rng.choice([(), (), ("--grid", "7x5"), ("--grid", "9x4"), ("--grid", "999x999")])
+    told = rng.choice([(), (), ("--distance-mm", "130"), ("--distance-mm", "1e-3")])
+    spacing = rng.choice(["12", "12", "1e-3", "1e6"])
+    names = rng.choice([("other.png",), ("dots.png", "other.png"), ("other.png", "dots.png")])
+    args = ("-q", "calibrate", *names, "--grid-spacing-mm", spacing, *size, *told, "-o", "new")
+    return Case(args, OPEN, "new", note=f"{other}: {note}")
