@@ -1,12 +1,12 @@
 """What the ground of a descent's windows is off by, and how wrong the model is besides.
 
 A window's error is that of its ground: a part that all ground of a level of the catalog has in
-common, by the low Sun and as heights were resampled, and the mean of a random field over its
-square. So two windows err alike as far as they share ground. Its size is that of a right model and
-of what the first match leaves over. Where the model is wrong at its posting, windows of smooth
-ground are matched with its errors: what the matches leave over tells which ones are, not by how
-much. That is learned from how windows scatter as they join, `WindowSpread`. The sizes are fitted
-numbers, in FILE (`optnav study fit`).
+common, by the low Sun and as heights of a level lie off the raster's, and the mean of a random
+field over its square. So two windows err alike as far as they share ground. Its size is that of a
+right model and of what the first match leaves over. Where the model is wrong at its posting,
+windows of smooth ground are matched with its errors: what the matches leave over tells which ones
+are, not by how much. That is learned from how windows scatter as they join, `WindowSpread`. The
+sizes are fitted numbers, in FILE (`optnav study fit`).
 """
 
 from collections.abc import Sequence
