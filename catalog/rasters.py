@@ -167,7 +167,7 @@ def encode_geotiff(
     (rows, cols), kind = first.shape, first.dtype.name
     whole = {"driver": "GTiff", "compress": "deflate", "dtype": kind, "count": len(bands)}
     whole |= {"predictor": 3} if kind == "float32" else {}
-    with MemoryFile() as memory:
+    with _gdal(siblings=True), MemoryFile() as memory:
         with memory.open(**whole, height=rows, width=cols, **profile) as file:
             file.update_tags(**(tags or {}))
             if unit:

@@ -15,7 +15,14 @@ from rasterio.transform import Affine
 
 from catalog.bodies.body import Body
 from catalog.errors import DataError
-from catalog.rasters import PICTURES, TERRAIN, held_settings, open_raster, reading_raster
+from catalog.rasters import (
+    PICTURES,
+    TERRAIN,
+    encode_geotiff,
+    held_settings,
+    open_raster,
+    reading_raster,
+)
 from catalog.terrain.dem.source import DemSettings, DemSource
 from tests.catalog.conftest import smooth_grid, write_dem
 from tests.catalog.mute_server import MuteServer
@@ -367,6 +374,9 @@ def test_a_folder_of_the_environment_that_is_no_utf_8_is_passed_over(
     monkeypatch.setenv(name, "\udcff")
     with open_raster(path, TERRAIN) as dataset:
         assert dataset.count == 1
+    monkeypatch.setenv(name, "\udcff")
+    place = {"transform": Affine.translation(1.0, 1.0)}
+    assert encode_geotiff({"height": np.zeros((4, 4), np.float32)}, place).startswith(b"II*")
 
 
 def test_settings_are_held_for_a_threads_readings_and_then_let_go() -> None:
