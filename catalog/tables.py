@@ -16,6 +16,7 @@ from catalog.errors import DataError
 from catalog.inputs import read_input
 
 T = TypeVar("T")
+MAX_COUNT = 2**53  # beyond it a number is no whole one to the last digit
 # A row takes some kB in memory: a picture a second fills these in six days.
 MAX_ROWS, MAX_COLUMNS = 500_000, 1000
 
@@ -78,7 +79,7 @@ class CsvRow:
     def count(self, column: str) -> int | None:
         """The whole number, 0 or more, of a cell, None for an empty one. Raises DataError."""
         value = self.number(column)
-        if value is not None and (value < 0 or value != int(value)):
+        if value is not None and not (0 <= value <= MAX_COUNT and value == int(value)):
             raise DataError(f"{column} is '{self.cells[column]}'; wanted a count")
         return None if value is None else int(value)
 

@@ -50,6 +50,7 @@ def test_rows_come_back_as_they_were_written(tmp_path: Path) -> None:
         ("file,x_m,n,used\na,one,2,1\n", "line 2: x_m is 'one'; wanted a number"),
         ("file,x_m,n,used\na,inf,2,1\n", "x_m is inf; wanted a finite number"),
         ("file,x_m,n,used\na,1,2.5,1\n", "n is '2.5'; wanted a count"),
+        ("file,x_m,n,used\na,1,1e308,1\n", "n is '1e308'; wanted a count"),
         ("file,x_m,n,used\na,1,2,yes\n", "used is 'yes'; wanted 0 or 1"),
     ],
 )
