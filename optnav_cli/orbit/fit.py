@@ -19,7 +19,7 @@ from optnav_cli.estimation.smoother import LinearArc, SmoothedArc, nuisance, smo
 from optnav_cli.orbit.first import first_orbit
 from optnav_cli.orbit.problem import OrbitProblem, Trajectory
 from optnav_cli.orbit.settings import PRIOR_SIGMAS, NoiseModel
-from optnav_cli.orbit.verdict import MEDIAN_OF_3, JudgedFit
+from optnav_cli.orbit.verdict import MEDIAN_OF_3, FitVerdict
 
 MAX_STEPS, MAX_ROUNDS = 30, 40
 SETTLED, NEAR = 1e-3, 3.0  # sigmas: of a fit, and of a start
@@ -310,7 +310,7 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 def _judge(problem: OrbitProblem, found: SmoothedArc, residuals: list[FixResidual]) -> list[str]:
     """Remarks on model and noise. Raises NoSolutionError where the residuals refute them."""
-    judged = JudgedFit(
+    judged = FitVerdict(
         "fixes",
         np.array([r.chi_square for r in residuals]),
         MEDIAN_OF_3,

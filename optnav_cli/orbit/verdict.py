@@ -19,7 +19,7 @@ MAX_RATIO = 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedFit:
+class FitVerdict:
     """The residuals of an orbit's fit.
 
     what         the measurements, in words

@@ -26,7 +26,7 @@ from optnav_cli.orbit.fit import (
 from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.problem import OrbitPrior, Trajectory
 from optnav_cli.orbit.settings import ParameterSettings
-from optnav_cli.orbit.verdict import MAX_SCATTER, MEDIAN_OF_1, JudgedFit
+from optnav_cli.orbit.verdict import MAX_SCATTER, MEDIAN_OF_1, FitVerdict
 from optnav_cli.orbit.zenith import ZenithSights
 from optnav_cli.orbit.zenith_problem import ZenithProblem
 from optnav_cli.orbit.zenith_start import first_orbits
@@ -329,7 +329,7 @@ def _judged(looks: SightResidual, gate: float) -> BoolArray:
 
 def _judged_fit(fit: ZenithFit) -> list[str]:
     """Remarks on sights and forces. Raises NoSolutionError where the residuals refute them."""
-    judged = JudgedFit(
+    judged = FitVerdict(
         "zenith distances",
         fit.looks.chi_square,
         MEDIAN_OF_1,
