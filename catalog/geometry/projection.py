@@ -234,7 +234,8 @@ class TangentPlane:
 
 def node_offsets(size: int, posting_m: float) -> FloatArray:
     """Map x of the columns of a centred grid (m); the rows' y are its negative."""
-    return np.asarray((np.arange(size) - (size - 1) / 2.0) * posting_m, dtype=np.float64)
+    nodes = np.arange(size, dtype=np.float64)
+    return (nodes - (size - 1) / 2.0) * posting_m
 
 
 def node_grid(size: int, posting_m: float) -> tuple[FloatArray, FloatArray]:

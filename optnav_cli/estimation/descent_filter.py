@@ -344,10 +344,10 @@ class _SightingRows:
     def times(self, matrix: NDArray[np.floating]) -> FloatArray:
         """The derivative (2 n, state) times a matrix (state, m)."""
         pose = self._by_pose.reshape(-1, 6)
-        product = pose @ matrix[np.r_[POSITION, BIAS]]
+        product: FloatArray = pose @ matrix[np.r_[POSITION, BIAS]]
         ground = matrix[_columns(self._numbers)].reshape(len(self._numbers), 3, -1)
         product += np.matmul(self._by_place, ground).reshape(product.shape)
-        return np.asarray(product, dtype=np.float64)
+        return product
 
 
 def _columns(numbers: IndexArray) -> IndexArray:

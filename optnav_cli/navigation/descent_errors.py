@@ -194,4 +194,5 @@ def tied_errors(some: Sequence[WindowError], others: Sequence[WindowError]) -> F
     blocks = np.einsum("ij,iab,jcb->iajc", level, *common)
     left, right = (np.array([each.own_m for each in own]) for own in (some, others))
     blocks = blocks + np.einsum("ij,iab,jcb->iajc", ties, left, right)
-    return np.asarray(blocks.reshape(3 * len(some), 3 * len(others)), dtype=np.float64)
+    tied: FloatArray = blocks.reshape(3 * len(some), 3 * len(others))
+    return tied

@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from catalog.arrays import FloatArray
 from catalog.geometry.vectors import perpendicular_basis, unit
-from optnav_cli.fix import MatchKind, MatchRow, Solution
+from optnav_cli.fix import Fix, MatchKind, MatchRow, Solution
 from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.report.page import figure, side_by_side
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
@@ -33,11 +33,10 @@ LEGEND = (
 
 @dataclass(frozen=True, eq=False)
 class PickedFrame:
-    """A solved frame, its place and covariance, its points and the size of its picture."""
+    """A solved frame, its fix, its points and the size of its picture."""
 
     solution: Solution
-    position_m: FloatArray
-    covariance_m2: FloatArray
+    fix: Fix
     points: list[MatchRow]
     size_px: tuple[float, float]
 
@@ -77,11 +76,11 @@ def _frames(run: RunFolder) -> list[PickedFrame]:
             and match.measured_px is not None
         ]
         camera = run.cameras.get(solution.file)
-        place, covariance = solution.position_m, solution.covariance_m2
-        if place is None or covariance is None or not points or camera is None:
+        fix = solution.outcome
+        if not isinstance(fix, Fix) or not points or camera is None:
             continue
         size = float(camera.width_px), float(camera.height_px)
-        found.append(PickedFrame(solution, place, covariance, points, size))
+        found.append(PickedFrame(solution, fix, points, size))
     return found
 
 
@@ -118,13 +117,13 @@ def _map(frame: PickedFrame) -> Panel:
 
 def _ellipse(frame: PickedFrame) -> Panel:
     """The error of the place, in the plane of the vertical and the line of sight."""
-    up = unit(frame.position_m)
-    sight = np.mean([point.cp_position_m for point in frame.points], axis=0) - frame.position_m
+    up = unit(frame.fix.position_m)
+    sight = np.mean([point.cp_position_m for point in frame.points], axis=0) - frame.fix.position_m
     level = sight - (sight @ up) * up
     if not np.linalg.norm(level) > 1e-6 * np.linalg.norm(sight):  # straight down
         level, _ = perpendicular_basis(up)
     plane = np.array([unit(level), up])
-    values, vectors = np.linalg.eigh(plane @ frame.covariance_m2 @ plane.T)
+    values, vectors = np.linalg.eigh(plane @ frame.fix.covariance_m2 @ plane.T)
     angle = np.linspace(0.0, 2.0 * np.pi, 73)
     circle = np.stack([np.cos(angle), np.sin(angle)])
     outline = 3e-3 * (vectors * np.sqrt(np.maximum(values, 0.0))) @ circle

@@ -118,7 +118,8 @@ def fly(
         tolerances = np.array([1e-6] * 3 + [1e-9] * 3)
         span = (float(at[0]), float(at[-1]))
         found = solve_ivp(rates, span, state, "DOP853", at, rtol=TOLERANCE, atol=tolerances)
-        return np.asarray(found.y.T, np.float64)
+        flown: FloatArray = found.y.T
+        return flown
 
     if kicks is None:
         states = path(start, times)

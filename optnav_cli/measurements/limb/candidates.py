@@ -234,4 +234,4 @@ def _at(picture: Float32Array, pixels: FloatArray) -> FloatArray:
     height, width = picture.shape
     whole = np.nan_to_num(np.rint(pixels)).astype(np.int64)
     x, y = np.clip(whole[:, 0], 0, width - 1), np.clip(whole[:, 1], 0, height - 1)
-    return np.asarray(picture[y, x], dtype=np.float64)
+    return picture[y, x].astype(np.float64)

@@ -140,7 +140,7 @@ def _with_night_side(body: BoolArray) -> NDArray[np.uint8]:
         # a rod of the ship is part of no disc
         if cv2.contourArea(contour) > MIN_LIT_SHARE * np.pi * radius**2:
             cv2.circle(found, (round(x), round(y)), round(radius), 1, -1)
-    return np.asarray(found, np.uint8)
+    return found
 
 
 def _touches(body: BoolArray, x: int, y: int, shape: tuple[int, ...]) -> bool:
