@@ -86,7 +86,12 @@ PICKED_POINTS = CsvTable(
 )
 
 STAR_FRAMES = CsvTable(
-    (FILE, text("utc", f"{UTC.meaning}; empty: J2025", empty=True), CAMERA), by_hand=True
+    (
+        *(FILE, text("utc", f"{UTC.meaning}; empty: J2025", empty=True), CAMERA),
+        *_position("where known: how quick an orbit is there", ".4f"),
+    ),
+    by_hand=True,
+    together=(POSITION,),
 )
 
 ATTITUDES = CsvTable(

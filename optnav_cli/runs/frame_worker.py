@@ -293,7 +293,9 @@ class FrameWorker:
         """
         if frame.tdb_s is None:
             return frame
-        view = SkyView(self.folder.body, frame.tdb_s)
+        place = frame.position_m
+        distance = None if place is None else float(np.linalg.norm(place))
+        view = SkyView(self.folder.body, frame.tdb_s, distance)
         if STARS not in answers:
             picture = self._picture(frame, camera)
             answers[STARS] = pack(star_sight(picture.values, picture.saturation, camera, view))

@@ -19,7 +19,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import read_cameras
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.run_settings import RUN_TOML, read_run_settings
-from optnav_cli.frames.tables import ATTITUDES, QUATERNION, STAR_FRAMES
+from optnav_cli.frames.tables import ATTITUDES, POSITION, QUATERNION, STAR_FRAMES
 from optnav_cli.measurements.stars.identify import StarFix, StarIdentifier
 from optnav_cli.measurements.stars.sky import SkyView
 from optnav_cli.measurements.stars.spots import StarSpots, find_spots
@@ -159,7 +159,9 @@ def _row(
         if camera is None:
             known = ", ".join(sorted(cameras))
             raise DataError(f"camera '{row['camera']}' has no file in cameras/; there are {known}")
-        view = SkyView(body, utc_to_tdb_s(utc) if utc else None)
+        place = row.vector(POSITION)
+        distance = None if place is None else float(np.linalg.norm(place))
+        view = SkyView(body, utc_to_tdb_s(utc) if utc else None, distance)
         picture = load_picture(folder / file, camera)
     except DataError as error:
         return StarRow(file, utc, None, None, None, str(error))

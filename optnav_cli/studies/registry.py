@@ -384,10 +384,13 @@ _OTHERS = (
         """Identify random pointings of three cameras among false spots, and random spots alone.
 
         How many are found, the errors of their attitudes against the stated sigmas, the time, and
-        how many pictures without a star are taken for sky.""",
-        "--trials 20",
+        how many pictures without a star are taken for sky. Then draw the Moon from 10 000 km with
+        stars beside it and do the same. Takes ten minutes; --pictures 0 leaves the Moon out.""",
+        "--trials 20 --pictures 0",
         (
+            output("optnav-stars", "Folder for the pictures; those in it are used again."),
             trials(5, 334, "Pictures of each row."),
+            option("--pictures", click.IntRange(0, 1000), 60, "Of the Moon."),
             seed("Of pointings and errors."),
         ),
     ),

@@ -9,6 +9,7 @@ from catalog.bodies.ephemeris import velocity_inertial
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.stars import aberrated, bright_stars
 from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.measurements.stars.spots import StarSpots
 
 UTC = "2024-06-01T10:00:00Z"
@@ -72,3 +73,14 @@ def spots_of(turn: Rotation, camera: Camera, rng, faintest: float, false: int) -
     order = np.argsort(magnitudes + rng.normal(0.0, 0.2, len(magnitudes)))
     light = 10.0 ** (-0.4 * magnitudes[order])
     return StarSpots(places[order], light, np.full(len(order), 0.15), 0, 0, 0.0)
+
+
+def sky_folder(place, pictures, rows=None):
+    """A folder of pictures by name, with the camera and frames.csv without attitudes."""
+    (place / "cameras").mkdir(parents=True)
+    (place / "cameras/sky.toml").write_text(camera_toml(CAMERA))
+    for name, picture in pictures.items():
+        cv2.imwrite(str(place / name), np.clip(picture, 0, 65535).astype(np.uint16))
+    rows = rows or [f"{name},{UTC},sky" for name in pictures]
+    (place / "frames.csv").write_text("\n".join(["file,utc,camera", *rows]) + "\n")
+    return place

@@ -202,7 +202,7 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
         if isinstance(param, OutputOption) and not param.endings
     }
     studies = {"acceptance", "apollo", "autonomous", "comet", "horizon", "navigation", "phobos"}
-    studies |= {"real", "calibration", "descent", "orbit_runs"}
+    studies |= {"real", "calibration", "descent", "orbit_runs", "stars"}
     stages = {"build", "ingest", "render", "select", "check", "write"}
     orbits = {"fit", "qso", "landing", "delivery"}
     makers = {

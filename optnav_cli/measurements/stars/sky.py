@@ -19,10 +19,14 @@ EARTH_SPEED_M_S = 29_785.0  # mean, about the Sun
 
 @dataclass(frozen=True)
 class SkyView:
-    """Whose motion displaces the stars, and when: TDB s past J2000, None where not known."""
+    """Whose motion displaces the stars, and when: TDB s past J2000, None where not known.
+
+    distance_m  of the craft from the body's centre, None where not known: a low orbit's
+    """
 
     body: Body
     tdb_s: float | None
+    distance_m: float | None = None
 
     def directions(self) -> FloatArray:
         """Where the catalog's stars are seen, inertial axes: (n, 3)."""
@@ -34,8 +38,9 @@ class SkyView:
     @property
     def sigma_rad(self) -> float:
         """What is not known of aberration, 1 sigma an axis: an orbit's motion, or the Earth's."""
-        # a low orbit's speed in a direction that is not known: two of three components count
-        orbit = np.sqrt(self.body.gm_m3_s2 / self.body.radius_m)
+        # a circle's speed in a direction that is not known: two of three components count
+        distance = max(self.distance_m or 0.0, self.body.radius_m)
+        orbit = np.sqrt(self.body.gm_m3_s2 / distance)
         speed = orbit if self.tdb_s is not None else np.hypot(orbit, EARTH_SPEED_M_S)
         return float(speed / LIGHT_M_S / np.sqrt(3.0))
 

@@ -7,6 +7,7 @@ its glare are left out.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -54,13 +55,12 @@ def find_spots(picture: Float32Array, saturation: float | None = None) -> StarSp
     """The spots of a picture (h, w) that look like stars."""
     over = picture - _background(picture)
     smooth = cv2.GaussianBlur(over, (0, 0), SMOOTH_PX)
-    sample = np.abs(smooth[::3, ::3])
-    sigma = max(1.4826 * float(np.median(sample)), 1e-6)
-    body = _bodies(picture, over, sigma, saturation)
+    body = _bodies(picture, over, _noise(smooth, np.ones(over.shape, bool)), saturation)
+    # relief of a lit body is no noise: with a third of the picture it would count 1.6 times
+    sigma, noise = _noise(smooth, ~body), _noise(over, ~body)
     lit = (smooth > THRESHOLD_SIGMAS * sigma) & ~body
     count, labels, stats, _ = cv2.connectedComponentsWithStats(lit.astype(np.uint8))
     del labels
-    noise = max(1.4826 * float(np.median(np.abs(over[::3, ::3]))), 1e-6)
     found: list[tuple[float, float, float]] = []
     trails = hot = 0
     for number in range(1, count):
@@ -90,6 +90,12 @@ def find_spots(picture: Float32Array, saturation: float | None = None) -> StarSp
     # a centroid's noise of a Gaussian spot over white noise, with its window
     by_noise = noise * np.sqrt(8.0 * np.pi) * BLUR_SIGMA_PX**2 / np.maximum(table[:, 2], 1e-9)
     return StarSpots(table[:, :2], table[:, 2], by_noise, trails, hot, float(body.mean()))
+
+
+def _noise(over: NDArray[Any], sky: BoolArray) -> float:
+    """1 sigma of a picture (h, w) less its background, where it shows the sky."""
+    sample = np.abs(over[::3, ::3][sky[::3, ::3]])
+    return max(1.4826 * float(np.median(sample)), 1e-6) if sample.size else 1e-6
 
 
 def _background(picture: Float32Array) -> Float32Array:

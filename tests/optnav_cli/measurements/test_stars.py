@@ -61,6 +61,21 @@ def test_stars_beside_a_lit_body_and_its_glare_are_found():
     assert np.abs(errors_arcsec(fix.camera_from_sky, ORION))[:2].max() < 10.0
 
 
+def test_a_lit_bodys_relief_is_no_noise_of_the_sky():
+    """With a third of the picture it counted 1.6 times, and hid stars as faint."""
+    sky, rng = drawn_sky(ORION), np.random.default_rng(3)
+    beside = add_body(sky, (150, 330), 160, 0.0)
+    lit = beside > 50_000.0
+    beside[lit] += rng.normal(0.0, 3000.0, int(lit.sum())).astype(np.float32)
+    alone, with_body = find_spots(sky), find_spots(beside)
+    assert with_body.body > 0.3
+    away = np.linalg.norm(alone.pixels[:, None] - with_body.pixels, axis=2)
+    same = away.min(axis=0) < 0.2
+    assert same.sum() > 15
+    ratio = with_body.sigma_px[same] / alone.sigma_px[away.argmin(axis=0)[same]]
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
+
+
 def test_a_lens_longer_by_half_a_per_cent_is_told_by_the_stars():
     longer = CAMERA.with_focal_factor(1.005)
     fix = found_in(drawn_sky(ORION, longer))

@@ -3,33 +3,21 @@
 import contextlib
 import csv
 
-import cv2
 import numpy as np
 import pytest
 
 from catalog.errors import DataError, NothingToDoError
 from catalog.geometry.rotations import ARCSEC, rotation_from_quaternion
 from catalog.progress import SilentProgress
-from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.report import write_report
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.stars_folder import stars_folder
-from tests.optnav_cli.made_skies import CAMERA, UTC, drawn_sky, turned
+from tests.optnav_cli.made_skies import CAMERA, UTC, drawn_sky, sky_folder, turned
 
 ORION = turned(84.0, -1.0, 20.0)
-
-
-def sky_folder(place, pictures, rows=None):
-    (place / "cameras").mkdir(parents=True)
-    (place / "cameras/sky.toml").write_text(camera_toml(CAMERA))
-    for name, picture in pictures.items():
-        cv2.imwrite(str(place / name), np.clip(picture, 0, 65535).astype(np.uint16))
-    rows = rows or [f"{name},{UTC},sky" for name in pictures]
-    (place / "frames.csv").write_text("\n".join(["file,utc,camera", *rows]) + "\n")
-    return place
 
 
 def test_a_folder_of_stars_gets_attitudes_and_overlays(tmp_path):
@@ -59,6 +47,20 @@ def test_a_time_is_not_needed_but_then_the_sigmas_hold_aberration(tmp_path):
     (row,) = stars_folder(folder, tmp_path / "run", SilentProgress())
     assert row.sigmas_arcsec[0] > 10.0
     assert "no time" in row.reason
+
+
+def test_a_place_far_out_says_that_the_craft_is_slower_and_narrows_the_sigmas(tmp_path):
+    """A low orbit of the Earth turns a sight by 5.3", one at 30 radii by 0.97"."""
+    folder = sky_folder(tmp_path / "sky", {"a.png": drawn_sky(ORION)})
+    (low,) = stars_folder(folder, tmp_path / "low", SilentProgress())
+    row = f"a.png,{UTC},sky,0,0,190000000"
+    (folder / "frames.csv").write_text(f"file,utc,camera,x_m,y_m,z_m\n{row}\n")
+    (far,) = stars_folder(folder, tmp_path / "far", SilentProgress())
+    fades = np.square(low.sigmas_arcsec[0]) - np.square(far.sigmas_arcsec[0])
+    assert fades == pytest.approx((5.44**2 - 0.997**2) / 3.0, rel=0.02)
+    (folder / "frames.csv").write_text(f"file,utc,camera,x_m,y_m,z_m\na.png,{UTC},sky,0,0,\n")
+    with pytest.raises(NothingToDoError, match="z_m"):
+        stars_folder(folder, tmp_path / "part", SilentProgress())
 
 
 def test_a_folder_without_any_attitude_ends_so_and_a_name_twice_is_refused(tmp_path):
