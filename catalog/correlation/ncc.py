@@ -86,12 +86,13 @@ def filtered(grid: Float32Array, margin_nodes: int = 0) -> Filtered:
 @kernel
 def _greatest_size(grid: Float32Array) -> float:
     """Greatest absolute value, holes aside; 0 without any."""
-    greatest = np.float32(0.0)
+    # of each column, so that no node waits for the one before it
+    greatest = np.zeros(grid.shape[1], np.float32)
     for r in range(grid.shape[0]):
         for c in range(grid.shape[1]):
             size = abs(grid[r, c])
-            greatest = size if size > greatest else greatest
-    return float(greatest)
+            greatest[c] = size if size > greatest[c] else greatest[c]
+    return float(greatest.max())
 
 
 def correlated(template: Filtered, image: Filtered) -> Float32Array:
@@ -145,8 +146,8 @@ def _void_flat_windows(
 
 def cropped(grid: NDArray[Number], margin: int) -> NDArray[Number]:
     """A grid (rows, cols, ...) without its outer `margin` nodes, contiguous."""
-    rows, cols = (slice(margin, side - margin) for side in grid.shape[:2])
-    return np.ascontiguousarray(grid[rows, cols])
+    rows, cols = grid.shape[:2]
+    return np.ascontiguousarray(grid[margin : rows - margin, margin : cols - margin])
 
 
 def match_ncc(reference: Float32Array, search: Float32Array, margin_nodes: int = 0) -> Match:

@@ -10,7 +10,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray
 from catalog.correlation.ncc import Filtered, cropped, filtered, high_pass, match_in, match_ncc
 from catalog.correlation.peak import Match
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel, kernel
 
 
 class Matcher(Protocol):
@@ -163,12 +163,34 @@ def _halved(grid: Float32Array) -> Float32Array:
 @kernel
 def _top_score(part: Float32Array, image: Float32Array, contrast: Float32Array) -> float:
     """Correlation of a template at the top between its places in an image."""
-    size, (rows, cols) = part.shape[0], contrast.shape
+    rows, cols = contrast.shape
     centred = part - np.float32(part.mean())
     length = np.sqrt(np.square(centred).sum())
     scores = np.empty((rows, cols))
-    # a sum a column, so that the products are not added one after the other
-    columns = np.empty(size, np.float32)
+    _fill_scores(centred, image, contrast, np.empty(part.shape[0], np.float32), scores)
+    best = int(np.argmax(scores))
+    i, j = best // cols, best % cols
+    top = scores[i, j]
+    if 0 < i < rows - 1:
+        top += _rise(scores[i - 1, j], scores[i, j], scores[i + 1, j])
+    if 0 < j < cols - 1:
+        top += _rise(scores[i, j - 1], scores[i, j], scores[i, j + 1])
+    return float(top / max(length, 1e-30))
+
+
+@bare_kernel
+def _fill_scores(
+    centred: Float32Array,
+    image: Float32Array,
+    contrast: Float32Array,
+    columns: Float32Array,
+    scores: FloatArray,
+) -> None:
+    """Fill scores (rows, cols) of a template (n, n) at its places, times its length.
+
+    columns  (n,) to work in: a sum a column, so that products are not added one after the other
+    """
+    size, (rows, cols) = centred.shape[0], contrast.shape
     for i in range(rows):
         for j in range(cols):
             columns[:] = np.float32(0.0)
@@ -180,14 +202,6 @@ def _top_score(part: Float32Array, image: Float32Array, contrast: Float32Array) 
             for c in range(size):
                 total += columns[c]
             scores[i, j] = total / contrast[i, j]
-    best = int(np.argmax(scores))
-    i, j = best // cols, best % cols
-    top = scores[i, j]
-    if 0 < i < rows - 1:
-        top += _rise(scores[i - 1, j], scores[i, j], scores[i + 1, j])
-    if 0 < j < cols - 1:
-        top += _rise(scores[i, j - 1], scores[i, j], scores[i, j + 1])
-    return float(top / max(length, 1e-30))
 
 
 @kernel

@@ -12,10 +12,10 @@ Cells larger than 8 nodes blur the peak: a 64-node square wants 8 x 8 cells (256
 import cv2
 import numpy as np
 
-from catalog.arrays import Float32Array, IntArray
+from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.peak import RIVAL_DISTANCE, Match
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel, kernel
 
 CELLS = 4  # a side: 4 x 4 cells of four sums are the 64 numbers
 # Bay et al. weight with sigma = 3.3 s on a square of 20 s: 3.3 / 20 of the side
@@ -31,7 +31,6 @@ REFINE_NODES = 3
 MAX_DISTANCE_RATIO = 0.9
 
 
-@kernel
 def _cell_sums(image: Float32Array, cell_px: int) -> Float32Array:
     """Sums of dx, dy, |dx|, |dy| over the cell whose first node is (row, col): (rows, 4, cols).
 
@@ -39,10 +38,23 @@ def _cell_sums(image: Float32Array, cell_px: int) -> Float32Array:
     last rows and columns, where a cell does not fit, stay zero. NaN counts as no response.
     """
     rows, cols = image.shape
-    out = np.zeros((rows, 4, cols), np.float32)
-    haar = np.zeros((rows, 4, cols), np.float32)
-    columns = np.zeros(4 * cols)  # running sums over cell_px rows
-    total = np.empty(cols - cell_px, np.float32)
+    haar, out = np.zeros((2, rows, 4, cols), np.float32)
+    room = np.zeros(4 * cols), np.empty(cols - cell_px, np.float32)
+    _fill_cell_sums(image, cell_px, haar, *room, out)
+    return out
+
+
+@bare_kernel
+def _fill_cell_sums(
+    image: Float32Array,
+    cell_px: int,
+    haar: Float32Array,
+    columns: FloatArray,
+    total: Float32Array,
+    out: Float32Array,
+) -> None:
+    """Fill `_cell_sums`; zeros on entry, haar alike, columns (4 cols,): sums over cell_px rows."""
+    rows, cols = image.shape
     half, none = np.float32(0.5), np.float32(0.0)
     # single loops over slices, so that each is compiled to vector instructions
     for row in range(rows - 1):
@@ -71,11 +83,12 @@ def _cell_sums(image: Float32Array, cell_px: int) -> Float32Array:
                 column = columns[k * cols + shift : k * cols + shift + total.size]
                 for c in range(total.size):
                     total[c] += np.float32(column[c])
-            out[first, k, : total.size] = total
+            into = out[first, k]
+            for c in range(total.size):
+                into[c] = total[c]
         leaving = haar[first].reshape(-1)
         for c in range(columns.size):
             columns[c] -= leaving[c]
-    return out
 
 
 @kernel
@@ -105,7 +118,6 @@ def _gather(
     return out
 
 
-@kernel
 def _similarities(
     sums: Float32Array,
     own: Float32Array,
@@ -119,9 +131,25 @@ def _similarities(
     sums   (m, 4, m) cell sums; first: row and column of the first cell at the first position
     own    (4 cells²,) of unit length
     """
-    cells = weights.shape[0]
-    products, squares = np.empty(positions, np.float32), np.empty(positions, np.float32)
+    room = np.empty((2, positions), np.float32)
     out = np.empty((positions, positions), np.float32)
+    _fill_similarities(sums, own, first, cell_px, weights, room, out)
+    return out
+
+
+@bare_kernel
+def _fill_similarities(
+    sums: Float32Array,
+    own: Float32Array,
+    first: int,
+    cell_px: int,
+    weights: Float32Array,
+    room: Float32Array,
+    out: Float32Array,
+) -> None:
+    """Fill `_similarities` (positions, positions); room (2, positions) to work in."""
+    cells, positions = weights.shape[0], out.shape[0]
+    products, squares = room[0], room[1]
     for p in range(positions):
         products[:] = 0.0
         squares[:] = 0.0
@@ -142,7 +170,6 @@ def _similarities(
         for q in range(positions):
             squared = squares[q]
             out[p, q] = products[q] / np.sqrt(squared) if squared > 1e-20 else 0.0
-    return out
 
 
 def cell_weights(cells: int) -> Float32Array:

@@ -1,12 +1,34 @@
 """Sampling of regular grids, with NaN for no data."""
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel, kernel
 
 
-@kernel
+class _RowWork(NamedTuple):
+    """Arrays that rows are sampled in.
+
+    line, past, base  by column of the grid: samples, rows past the base, the row before
+    fall, rows, cols  by place: rows a column to the next, row and column
+    at, over, target  by place: the column before, columns past it, means
+    """
+
+    line: Float32Array
+    past: Float32Array
+    base: IntArray
+    fall: FloatArray
+    rows: FloatArray
+    cols: FloatArray
+    at: NDArray[np.uint32]
+    over: Float32Array
+    target: Float32Array
+
+
+@bare_kernel
 def cubic_weights(t: float) -> tuple[float, float, float, float]:
     """Weights of the four neighbours for cubic convolution with a = -1/2 (Keys 1981)."""
     t2, t3 = t * t, t * t * t
@@ -18,7 +40,7 @@ def cubic_weights(t: float) -> tuple[float, float, float, float]:
     )
 
 
-@kernel
+@bare_kernel
 def _down_columns(
     grid: Float32Array,
     base: IntArray,
@@ -51,17 +73,22 @@ def _down_columns(
     return True
 
 
-@kernel
+@bare_kernel
 def _along_line(
-    line: Float32Array, cols: FloatArray, width: float, samples: int, out: Float32Array
+    line: Float32Array,
+    cols: FloatArray,
+    width: float,
+    samples: int,
+    work: _RowWork,
+    out: Float32Array,
 ) -> None:
     """Fill means (n,) of samples of a line over a width about columns (n,)."""
     half, one, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
     three_halves, five_halves = np.float32(1.5), np.float32(2.5)
     size = cols.size
-    at, over = np.empty(size, np.uint32), np.empty(size, np.float32)
-    target = np.empty(size, np.float32)
-    target[:] = np.float32(0.0)
+    at, over, target = work.at, work.over, work.target
+    for j in range(size):
+        target[j] = np.float32(0.0)
     share = np.float32(1.0 / samples)
     for s in range(samples):
         aside = ((s + 0.5) / samples - 0.5) * width - 1.0
@@ -79,7 +106,8 @@ def _along_line(
             inner = (one + three_halves * xxx - five_halves * xx) * line[i + np.uint64(1)]
             inner += (half * x + two * xx - three_halves * xxx) * line[i + np.uint64(2)]
             target[j] += share * (outer + inner)
-    out[:] = target
+    for j in range(size):
+        out[j] = target[j]
 
 
 @kernel
@@ -105,11 +133,30 @@ def sample_rows(
     times what a cubic misses between columns. NaN where a hole is touched. False, with some rows
     made, where a row leaves the grid or crosses it too steeply.
     """
-    width = grid.shape[1]
-    size = col.shape[1]
-    line, past = np.empty(width, np.float32), np.empty(width, np.float32)
-    base = np.empty(width, np.int64)
-    fall, rows, cols = np.empty(size - 1), np.empty(size), np.empty(size)
+    width, size = grid.shape[1], col.shape[1]
+    work = _RowWork(
+        np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.int64),
+        np.empty(size - 1), np.empty(size), np.empty(size),
+        np.empty(size, np.uint32), np.empty(size, np.float32), np.empty(size, np.float32),
+    )  # fmt: skip
+    return _sample_each_row(grid, row, col, fit, wide, steepest, work, out)
+
+
+@bare_kernel
+def _sample_each_row(
+    grid: Float32Array,
+    row: FloatArray,
+    col: FloatArray,
+    fit: tuple[float, float, float, float],
+    wide: FloatArray,
+    steepest: float,
+    work: _RowWork,
+    out: Float32Array,
+) -> bool:
+    """`sample_rows` in given arrays."""
+    width, size = grid.shape[1], col.shape[1]
+    line, past, base = work.line, work.past, work.base
+    fall, rows, cols = work.fall, work.rows, work.cols
     per_row, row0, per_col, col0 = fit
     for m in range(out.shape[0]):
         for j in range(size):
@@ -138,11 +185,11 @@ def sample_rows(
                 c += 1
         if not _down_columns(grid, base, past, (first, last), line):
             return False
-        _along_line(line, cols, wide[m], samples, out[m])
+        _along_line(line, cols, wide[m], samples, work, out[m])
     return True
 
 
-@kernel
+@bare_kernel
 def bilinear(grid: Float32Array, row: float, col: float) -> float:
     """Value between four nodes; the place must lie inside."""
     r = min(max(int(row), 0), grid.shape[0] - 2)
@@ -153,7 +200,7 @@ def bilinear(grid: Float32Array, row: float, col: float) -> float:
     return float(upper + y * (lower - upper))
 
 
-@kernel
+@bare_kernel
 def _bilinear_at(grid: Float32Array, row: float, col: float) -> float:
     rows, cols = grid.shape
     # half a cell beyond the outer nodes still belongs to the outer pixels
@@ -180,7 +227,7 @@ def _bilinear_at(grid: Float32Array, row: float, col: float) -> float:
     return total / weight
 
 
-@kernel
+@bare_kernel
 def bicubic_at(grid: Float32Array, row: float, col: float) -> float:
     """Cubic convolution at one place; bilinear at the border and beside holes; NaN outside."""
     rows, cols = grid.shape

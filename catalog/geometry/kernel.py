@@ -38,12 +38,25 @@ _warned: set[str] = set()
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a single-threaded kernel; it releases the interpreter's lock."""
-    return _compiled(function)
+    return _compiled(function, _nrt=True)
+
+
+def bare_kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a kernel that makes no array and returns none: it works on those of its caller.
+
+    It counts no references. Numba counts them for every array that is handed on or sliced, by
+    atomic instructions that take longer than the work on a row of a small grid. What owns no array
+    has none to free. Numba refuses to compile one that makes an array.
+    Raises TypeError for one that is annotated to return an array.
+    """
+    if "ndarray" in str(function.__annotations__.get("return")):
+        raise TypeError(f"{function.__qualname__} returns an array: its references are counted")
+    return _compiled(function, _nrt=False)
 
 
 def parallel_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a kernel whose `numba.prange` loops run on all threads that the process allows."""
-    return _compiled(function, parallel=True)
+    return _compiled(function, _nrt=True, parallel=True)
 
 
 def _compiled(function: Callable[P, R], **options: bool) -> Callable[P, R]:

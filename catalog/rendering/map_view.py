@@ -1,6 +1,7 @@
 """A map grid rendered in its own projection: each node's brightness under a Sun and a view."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +18,7 @@ from catalog.photometry.laws import (
 )
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE
 from catalog.rendering.shading import NEAR, NEAR_LUNAR, TABLE, TWO_TERMS, Lighting
-from catalog.rendering.shadow import NO_TABLE, Outer, illuminated, map_grid
+from catalog.rendering.shadow import KEPT_SUNS, NO_TABLE, Outer, illuminated, map_grid
 
 ZENITH = (0.0, 0.0, 1.0)
 
@@ -85,6 +86,14 @@ def render_map_quickly(
 
 def _light(law: str, sun_local: ArrayLike, view_local: ArrayLike) -> Lighting:
     """Seen from one direction. Raises ConfigError for an unknown law."""
+    sun, view = (np.asarray(vector, dtype=np.float64) for vector in (sun_local, view_local))
+    if sun.shape != (3,) or view.shape != (3,):
+        sun, view = _unit(sun, "sun_local"), _unit(view, "view_local")  # which refuses it
+    return _far_light(law, tuple(sun.tolist()), tuple(view.tolist()))
+
+
+@lru_cache(maxsize=KEPT_SUNS)
+def _far_light(law: str, sun_local: tuple[float, ...], view_local: tuple[float, ...]) -> Lighting:
     law_by_name(law)  # refuses a name that is no law
     sun, view = _unit(sun_local, "sun_local"), _unit(view_local, "view_local")
     weight = float(law == "lommel_seeliger")

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel
 from catalog.photometry.laws import (
     SurfaceLaw,
     lunar_weight_of,
@@ -79,13 +79,13 @@ class Rows(NamedTuple):
     u: Float32Array
 
 
-@kernel
+@bare_kernel
 def single(vector: FloatArray) -> tuple[np.float32, np.float32, np.float32]:
     """The elements of a vector (3,) in single precision."""
     return np.float32(vector[0]), np.float32(vector[1]), np.float32(vector[2])
 
 
-@kernel
+@bare_kernel
 def _slope(
     before: np.float32, here: np.float32, after: np.float32, per_m: np.float32
 ) -> np.float32:
@@ -102,7 +102,7 @@ def _slope(
     return ZERO
 
 
-@kernel
+@bare_kernel
 def _near_holes(
     above: Float32Array,
     here: Float32Array,
@@ -122,7 +122,7 @@ def _near_holes(
         across[c] = _slope(south_of, here[c], north_of, per_m)
 
 
-@kernel
+@bare_kernel
 def _row_slopes(
     rows: Rows, number: int, posting: float, along: Float32Array, across: Float32Array
 ) -> None:
@@ -154,14 +154,14 @@ def _row_slopes(
         )
 
 
-@kernel
+@bare_kernel
 def fill_slopes(rows: Rows, grid: MapGrid, slopes: Float32Array) -> None:
     """Fill slopes (rows, 2, n) with dh/dx and dh/dy of nodes, by central differences."""
     for k in range(rows.together):
         _row_slopes(rows, rows.first + k, grid.posting, slopes[k, 0], slopes[k, 1])
 
 
-@kernel
+@bare_kernel
 def normal_of(
     slope_x: np.float32,
     slope_y: np.float32,
@@ -186,7 +186,7 @@ def normal_of(
     )
 
 
-@kernel
+@bare_kernel
 def shade_two_terms(
     rows: Rows,
     grid: MapGrid,
@@ -219,7 +219,7 @@ def shade_two_terms(
             line[c] = seen[c] * (value if (mu0 > ZERO) & (mu > ZERO) else ZERO)
 
 
-@kernel
+@bare_kernel
 def shade_nodes(
     rows: Rows,
     grid: MapGrid,
@@ -260,7 +260,7 @@ def shade_nodes(
             target[k, c] = reflectance_by_law(mu0, mu, cos_g, light.law)
 
 
-@kernel
+@bare_kernel
 def shade_near(
     rows: Rows,
     grid: MapGrid,

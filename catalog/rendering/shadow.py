@@ -5,6 +5,7 @@ How the sweep is done: swept.py.
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,9 @@ ZENITH: FloatArray = np.array([0.0, 0.0, 1.0])
 NO_LAW = SurfaceLaw(0, LUNAR, NORMAL_ALBEDO)
 NO_TABLE: Float32Array = np.empty((0, 0), np.float32)
 NO_FIELD = ShadowField(NO_TABLE, 1.0)
+# A place is rendered at several levels under one Sun; what follows from its direction takes longer
+# in the interpreter than a tenth of a small grid's shading.
+KEPT_SUNS = 64
 
 
 Outer = Sequence[tuple[Float32Array, float]] | ShadowField
@@ -64,7 +68,7 @@ def illuminated(
     NaN where there is no data. Raises ValueError for a grid that is not square.
     """
     _refuse_shape(grid.heights, "a map grid")
-    sweep = _sweep_of(light.sun)
+    sweep = _sweep_of(*light.sun.tolist())
     if outer is not None and _is_set(light.sun, sweep, grid.radius):
         return np.where(np.isnan(grid.heights), grid.heights, np.float32(0.0))
     field = NO_FIELD
@@ -97,7 +101,7 @@ def shadow_field(
     Raises ValueError for a grid that is not square or a Sun of no length.
     """
     light, field = _light(LIMIT, sun_local), beyond or NO_FIELD
-    sweep = _sweep_of(light.sun)
+    sweep = _sweep_of(*light.sun.tolist())
     for heights, posting in reversed(grids):
         _refuse_shape(heights, "an outer map grid")
         if sweep.casts and not _is_set(light.sun, sweep, radius_m):
@@ -131,9 +135,9 @@ def _is_set(sun: FloatArray, sweep: Sweep, radius_m: float) -> bool:
     return bool(sun[2] <= 0.0 and (radius_m < FLAT_RADIUS_M or not sweep.casts))
 
 
-def _sweep_of(sun: FloatArray) -> Sweep:
-    """The way to sweep; a Sun overhead casts no shadows."""
-    east, north, up = sun.tolist()
+@lru_cache(maxsize=KEPT_SUNS)
+def _sweep_of(east: float, north: float, up: float) -> Sweep:
+    """The way to sweep under a Sun; one overhead casts no shadows."""
     swap = abs(east) > abs(north)
     # row 0 is north, column 0 west: rows are swept from the Sun's side
     along, across = (east, north) if swap else (north, east)

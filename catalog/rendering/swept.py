@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel, kernel
 from catalog.photometry.hapke import HapkeParameters
 from catalog.photometry.laws import SurfaceLaw
 from catalog.rendering.hapke_table import shade_hapke
@@ -99,7 +99,7 @@ class _Work(NamedTuple):
     uu: Float32Array
 
 
-@kernel
+@bare_kernel
 def _first_line(sweep: Sweep, span: int, t: int) -> tuple[int, float]:
     """The lowest line that a node of row t lies beside, and how far lines are past nodes, 0..1."""
     # a line that rounding leaves a hair before a column is on it
@@ -108,7 +108,7 @@ def _first_line(sweep: Sweep, span: int, t: int) -> tuple[int, float]:
     return (whole if sweep.flip_c else span - whole), part
 
 
-@kernel
+@bare_kernel
 def _sample(limits: Float32Array, row: float, col: float) -> float:
     """The limit between the nodes of a coarser grid; NOTHING outside it."""
     size = limits.shape[0]
@@ -121,7 +121,7 @@ def _sample(limits: Float32Array, row: float, col: float) -> float:
     return value
 
 
-@kernel
+@bare_kernel
 def _enter_lines(
     grid: MapGrid, sweep: Sweep, outer: ShadowField, work: _Work, t: int, row: int, lift: float
 ) -> None:
@@ -145,7 +145,7 @@ def _enter_lines(
         work.lines[line] = limit + lift
 
 
-@kernel
+@bare_kernel
 def _fill_z(here: Float32Array, work: _Work, row_q: np.float32, radius: float, lift: float) -> None:
     """Heights of a row's nodes in the tangent frame, above the plane of its rays."""
     z, uu = work.z[1 : here.size + 1], work.uu
@@ -159,7 +159,7 @@ def _fill_z(here: Float32Array, work: _Work, row_q: np.float32, radius: float, l
     work.z[0], work.z[here.size + 1] = z[0], z[here.size - 1]
 
 
-@kernel
+@bare_kernel
 def _cast_shadows(
     grid: MapGrid,
     sweep: Sweep,
@@ -209,7 +209,7 @@ def _cast_shadows(
             line[c] = height if height > ground else ground
 
 
-@kernel
+@bare_kernel
 def _make_rows(
     grid: MapGrid,
     sweep: Sweep,
@@ -245,7 +245,7 @@ def _make_rows(
         shade_nodes(rows, grid, work.slopes, work.mask, light, target)
 
 
-@kernel
+@bare_kernel
 def _turn(heights: Float32Array, strip: Float32Array) -> None:
     """Columns (n, k) as rows (k, n)."""
     size, count = heights.shape
@@ -261,7 +261,7 @@ def _turn(heights: Float32Array, strip: Float32Array) -> None:
             strip[k, r] = heights[r, k]
 
 
-@kernel
+@bare_kernel
 def _turn_back(made: Float32Array, out: Float32Array) -> None:
     for r in range(out.shape[0]):
         line = out[r]

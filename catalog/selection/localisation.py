@@ -28,7 +28,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray
 from catalog.correlation.ncc import HIGH_PASS_NODES, high_pass
 from catalog.correlation.surf64 import own_similarity_surface
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel, kernel
 
 AZIMUTHS = 8  # over half a turn: the opposite Sun gives the same tensor
 # a window may miss this share of its nodes before its response is unknown
@@ -37,7 +37,7 @@ MAX_MISSING = 0.02
 LOBE_NODES = 3
 
 
-@kernel
+@bare_kernel
 def eigenvalue_row(
     sums: Float32Array, least: float, directions: Float32Array, out: Float32Array
 ) -> None:
@@ -70,7 +70,7 @@ def eigenvalue_row(
             out[c] = np.float32(np.nan)
 
 
-@kernel
+@bare_kernel
 def _slide_right(columns: FloatArray, window: int, step: int, sums: Float32Array) -> None:
     """Window sums (7, right) of a row from its column sums (7, cols)."""
     # seven scalars, not an array: the additions of seven chains then overlap

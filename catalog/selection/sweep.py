@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel, kernel
 from catalog.selection.localisation import eigenvalue_row
 
 BLUR_TAPS = 9  # four sigmas of one node, either side
@@ -19,7 +19,7 @@ MARGIN = BLUR_TAPS // 2 + 1  # nodes that blur and second differences want aroun
 BLOCK_NODES = 2048  # columns done at once: their rows stay in the processor's nearest cache
 
 
-@kernel
+@bare_kernel
 def _blur_down(heights: Float32Array, taps: Float32Array, out: Float32Array) -> None:
     """The middle row of BLUR_TAPS rows, blurred across them."""
     half = taps.size // 2
@@ -32,7 +32,7 @@ def _blur_down(heights: Float32Array, taps: Float32Array, out: Float32Array) -> 
             out[c] += weight * (above[c] + below[c])
 
 
-@kernel
+@bare_kernel
 def _blur_along(line: Float32Array, taps: Float32Array, out: Float32Array) -> None:
     half = taps.size // 2
     middle = line[half : half + out.size]
@@ -45,7 +45,7 @@ def _blur_along(line: Float32Array, taps: Float32Array, out: Float32Array) -> No
             out[c] += weight * (left[c] + right[c])
 
 
-@kernel
+@bare_kernel
 def _add_products(
     south: Float32Array,
     middle: Float32Array,
@@ -136,13 +136,17 @@ def tile_sums(
     return out
 
 
-@kernel
+@bare_kernel
 def _window_eigenvalues(
-    tiles: Float32Array, tall: int, wide: IntArray, directions: Float32Array, out: Float32Array
+    tiles: Float32Array,
+    tall: int,
+    wide: IntArray,
+    directions: Float32Array,
+    room: tuple[Float32Array, Float32Array],
+    out: Float32Array,
 ) -> None:
     cols = tiles.shape[2]
-    down = np.empty((6, cols), np.float32)
-    sums = np.empty((7, cols), np.float32)
+    down, sums = room
     for i in range(out.shape[0]):
         fit = cols - wide[i] + 1
         share = np.float32(tall / wide[i])
@@ -183,7 +187,8 @@ def window_eigenvalues(
     out = np.empty((tiles.shape[1] - tall + 1, tiles.shape[2]), np.float32)
     if wide.shape != (out.shape[0],) or out.shape[0] < 1 or wide.max() > tiles.shape[2]:
         raise ValueError(f"windows of {tall} x {wide} tiles do not fit into {tiles.shape}")
-    _window_eigenvalues(tiles, tall, wide, products, out)
+    room = np.empty((6, tiles.shape[2]), np.float32), np.empty((7, tiles.shape[2]), np.float32)
+    _window_eigenvalues(tiles, tall, wide, products, room, out)
     return out
 
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.grid import bicubic_at
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel
 
 
 class PicturePyramid:
@@ -34,7 +34,9 @@ class PicturePyramid:
         factor = int(min(max(1.0, np.floor(pixels_per_node + 0.25)), smallest_side))
         level = self._level(factor)
         places = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 2)
-        return _sample(level, places, factor, height, width).reshape(pixels.shape[:-1])
+        out = np.full(len(places), np.nan, np.float32)
+        _sample(level, places, factor, height, width, out)
+        return out.reshape(pixels.shape[:-1])
 
     def _level(self, factor: int) -> Float32Array:
         if factor not in self._levels:
@@ -46,14 +48,21 @@ class PicturePyramid:
         return self._levels[factor]
 
 
-@kernel
+@bare_kernel
 def _sample(
-    level: Float32Array, pixels: FloatArray, factor: int, height: int, width: int
-) -> Float32Array:
-    """Brightness (n,) at pixels (n, 2) of a picture, from its means over blocks of `factor`."""
+    level: Float32Array,
+    pixels: FloatArray,
+    factor: int,
+    height: int,
+    width: int,
+    out: Float32Array,
+) -> None:
+    """Fill brightness (n,) at pixels (n, 2) of a picture, from its means over blocks of `factor`.
+
+    Places outside the picture stay as they are.
+    """
     # Not cv2.remap: its cubic kernel (a = -3/4) does not give a ramp back. It moves a pattern by
     # up to 0.05 px, the same at all nodes of a grid that happens to step with the pixels.
-    out = np.full(pixels.shape[0], np.nan, np.float32)
     rows, cols = level.shape
     # the centre of the first block of `factor` pixels lies at (factor - 1) / 2
     shift, inverse = (factor - 1) / 2.0, 1.0 / factor
@@ -76,10 +85,9 @@ def _sample(
         value += w2 * (x0 * d[c - 1] + x1 * d[c] + x2 * d[c + 1] + x3 * d[c + 2])
         value += w3 * (x0 * e[c - 1] + x1 * e[c] + x2 * e[c + 1] + x3 * e[c + 2])
         out[i] = value
-    return out
 
 
-@kernel
+@bare_kernel
 def _weights(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """`cubic_weights` in single precision."""
     half, two = np.float32(0.5), np.float32(2.0)

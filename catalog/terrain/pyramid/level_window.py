@@ -82,7 +82,10 @@ class LevelWindows:
         Rows beyond a pole are those of the meridian on its other side.
         """
         rows, cols = self.shape
-        out = np.full((height, width), np.nan, dtype=np.float32)
+        out = np.empty((height, width), np.float32)
+        across = self.wraps or 0 <= col0 <= cols - width
+        if not (across and 0 <= row0 <= rows - height):  # else all of it is filled
+            out[:] = np.nan
         top = min(max(-row0, 0), height)
         bottom = max(min(rows - row0, height), top)
         self._fill(out[top:bottom], row0 + top, col0)

@@ -12,7 +12,7 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.geometry.cells import Graticule, Part
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel, kernel
 from catalog.terrain.pyramid.level_window import LevelWindows, halvings_for
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 from catalog.terrain.sampling.footprint import MAX_COLUMNS, MAX_ROWS, add_weights, samples_across
@@ -74,7 +74,8 @@ def heights_by_weights(
         left, width = int(firsts.min()), int(np.ptp(firsts)) + weights.shape[1]
         window = level.window(top, left, height, width)
         part_out = out[:, those[0] : those[-1] + 1]
-        _combine(window, first_row - top, row_weights, firsts - left, weights, part_out)
+        line = np.empty(width, np.float32)
+        _combine(window, first_row - top, row_weights, firsts - left, weights, line, part_out)
     return out
 
 
@@ -95,17 +96,17 @@ def _weights(at: FloatArray, wide: float, most: int) -> tuple[IntArray, Float32A
     return first, out[:, :used].copy()
 
 
-@kernel
+@bare_kernel
 def _combine(
     window: Float32Array,
     first_row: IntArray,
     row_weights: Float32Array,
     first_col: IntArray,
     col_weights: Float32Array,
+    line: Float32Array,
     out: Float32Array,
 ) -> None:
-    """Weighted sums down, then along."""
-    line = np.empty(window.shape[1], np.float32)
+    """Weighted sums down, in `line` (columns of the window,), then along."""
     taps = col_weights.shape[1]
     for i in range(out.shape[0]):
         line[:] = np.float32(0.0)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import FloatArray, IntArray
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel, kernel
 from catalog.geometry.latlon import body_from_local
 from catalog.geometry.projection import Stereographic
 from catalog.terrain.dem.georeference import CYLINDRICAL, POLAR, Georeference
@@ -87,7 +87,7 @@ def pixels_of_grid(
         cylinder = Cylinder(middle, cols_per_rad, row0, rows_per_rad, ratio)
         _cylindrical(m, size, spacing, first, step, cylinder, nodes)
         if step > 1:
-            _between(nodes, size, _cubic_weights(step), places)
+            _between(nodes, size, _cubic_weights(step), np.empty(nodes.shape[1]), places)
         else:
             row, col, column_scale = nodes.reshape(3, -1)
     elif place.kind == POLAR:
@@ -124,7 +124,7 @@ def _step(projection: Stereographic, posting_m: float, size: int) -> int:
 
 @cache
 def _cubic_weights(step: int) -> FloatArray:
-    """Weights (step, 4) of four equidistant values for places between the middle two (Lagrange)."""
+    """Weights (4, step) of four equidistant values for places between the middle two (Lagrange)."""
     t = np.arange(step) / step
     return np.stack(
         [
@@ -132,8 +132,7 @@ def _cubic_weights(step: int) -> FloatArray:
             (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0,
             -(t + 1.0) * t * (t - 2.0) / 2.0,
             (t + 1.0) * t * (t - 1.0) / 6.0,
-        ],
-        axis=1,
+        ]
     )
 
 
@@ -167,17 +166,20 @@ def _cylindrical(
             out[2, a, b] = ratio / max(across, 1e-9)
 
 
-@kernel
-def _between(nodes: FloatArray, size: int, weights: FloatArray, places: FloatArray) -> None:
-    """All nodes from every `len(weights)`th, whose first lies one such step outside the grid."""
-    step, n = weights.shape[0], nodes.shape[1]
-    # weights by number, so that a step's places are worked out side by side
-    first, second = weights[:, 0].copy(), weights[:, 1].copy()
-    third, fourth = weights[:, 2].copy(), weights[:, 3].copy()
-    line = np.empty(n)
+@bare_kernel
+def _between(
+    nodes: FloatArray, size: int, weights: FloatArray, line: FloatArray, places: FloatArray
+) -> None:
+    """All nodes (3, size^2) from every `step`th (3, n, n), whose first lies one outside the grid.
+
+    weights  (4, step)  by number, so that a step's places are worked out side by side
+    line     (n,) to work in
+    """
+    step, n = weights.shape[1], nodes.shape[1]
+    first, second, third, fourth = weights[0], weights[1], weights[2], weights[3]
     for k in range(3):
         for i in range(size):
-            a, w = i // step, weights[i % step]
+            a, w = i // step, weights[:, i % step]
             above, upper, lower, below = (
                 nodes[k, a],
                 nodes[k, a + 1],

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel, kernel
 
 AZIMUTHS = 36
 # A bin covers 10 deg; its limit is the greatest at its middle and its two borders.
@@ -52,7 +52,7 @@ def _tangent_heights(grids: Float32Array, postings: FloatArray, radius: float) -
     return out
 
 
-@kernel
+@bare_kernel
 def _inside(origin: float, step: float, top: float) -> tuple[float, float]:
     """Range of k for which 0 <= origin + k step <= top."""
     if abs(step) < 1e-12:
@@ -63,7 +63,7 @@ def _inside(origin: float, step: float, top: float) -> tuple[float, float]:
     return min(a, b), max(a, b)
 
 
-@kernel
+@bare_kernel
 def _lowest(s: FloatArray, z: FloatArray, count: int, slope: float) -> int:
     """Which of `count` points (way, height) lies lowest against a line of a slope."""
     lowest, which = np.inf, 0
@@ -74,7 +74,7 @@ def _lowest(s: FloatArray, z: FloatArray, count: int, slope: float) -> int:
     return which
 
 
-@kernel
+@bare_kernel
 def _steeper(
     near_s: FloatArray,
     near_z: FloatArray,
@@ -107,7 +107,7 @@ def _steeper(
         foot = _lowest(near_s, near_z, near, slope)
 
 
-@kernel
+@bare_kernel
 def _crossing(
     size: int, posting: float, step: float, plane: Plane
 ) -> tuple[float, float, float, float, int, int]:
@@ -126,7 +126,7 @@ def _crossing(
     return col, row, d_col, d_row, first, last
 
 
-@kernel
+@bare_kernel
 def _known_profile(
     grid: Float32Array,
     crossing: tuple[float, float, float, float],
@@ -159,7 +159,7 @@ def _known_profile(
     return count
 
 
-@kernel
+@bare_kernel
 def _steepest_outside(
     grids: Float32Array,
     max_heights: FloatArray,
@@ -199,20 +199,26 @@ def _steepest_outside(
     return slope
 
 
-@kernel
+@bare_kernel
 def _limits_along(
-    grids: Float32Array, max_heights: FloatArray, postings: FloatArray, east: float, north: float
+    grids: Float32Array,
+    max_heights: FloatArray,
+    postings: FloatArray,
+    east: float,
+    north: float,
+    room: FloatArray,
 ) -> tuple[float, float]:
     """Tangents of the greatest elevation of outside ground towards (east, north) and away from it.
 
     grids (levels, n, n) heights over the tangent plane, the patch's own first; max_heights
-    (levels,) their maxima; postings (levels,). Zero where nothing stands above the horizontal.
+    (levels,) their maxima; postings (levels,); room (4, 2 n) to work in. Zero where nothing stands
+    above the horizontal.
     """
     size, posting = grids.shape[1], postings[0]
     corner = (size - 1) / 2.0 * posting * (abs(east) + abs(north))
     spacing, step = LINE_SPACING_NODES * posting, INNER_STEP_NODES * posting
-    near_s, near_z = np.empty(2 * size), np.empty(2 * size)
-    outside = np.empty(2 * size), np.empty(2 * size)
+    near_s, near_z = room[0], room[1]
+    outside = room[2], room[3]
     towards = away = 0.0
     lines = int(2.0 * corner / spacing) + 1
     for line in range(lines):
@@ -225,7 +231,8 @@ def _limits_along(
         inside = near_s, near_z, near
         towards = _steepest_outside(grids, max_heights, postings, plane, inside, outside, towards)
         # the same plane, seen the other way
-        near_s[:near] *= -1.0
+        for k in range(near):
+            near_s[k] = -near_s[k]
         plane = Plane(-across, -east, -north)
         away = _steepest_outside(grids, max_heights, postings, plane, inside, outside, away)
     return towards, away
@@ -242,10 +249,11 @@ def _limits(heights: Float32Array, postings: FloatArray, radius: float, per_bin:
                 max_heights[level] = height
     half = AZIMUTHS * per_bin // 2
     tangents = np.empty(2 * half)
+    room = np.empty((4, 2 * heights.shape[1]))
     for k in range(half):
         azimuth = math.pi * k / half
         tangents[k], tangents[k + half] = _limits_along(
-            grids, max_heights, postings, math.sin(azimuth), math.cos(azimuth)
+            grids, max_heights, postings, math.sin(azimuth), math.cos(azimuth), room
         )
     return tangents
 

@@ -8,7 +8,12 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba.core.errors import NumbaError
+
+from catalog.arrays import FloatArray
+from catalog.geometry.kernel import bare_kernel
 
 CHECKOUT = Path(__file__).resolve().parents[3]
 KERNEL = "from catalog.geometry.kernel import kernel\n@kernel\ndef twice(x):\n    return 2.0 * x\n"
@@ -213,3 +218,35 @@ def test_a_kernel_that_another_process_compiles_is_waited_for(tmp_path: Path) ->
         )
         assert first.communicate()[0] == "4.0\n"
     assert second.stdout.split() == ["4.0", "1", "0"]
+
+
+def test_a_bare_kernel_works_on_slices_and_leaves_their_references_as_they_were() -> None:
+    grid = np.arange(12.0).reshape(3, 4)
+    before = sys.getrefcount(grid)
+    for _ in range(100):
+        assert _sum_of_rows(grid) == 66.0
+    assert sys.getrefcount(grid) == before
+
+
+def test_a_bare_kernel_that_makes_or_returns_an_array_is_refused() -> None:
+    def makes(size: int) -> float:
+        return float(np.ones(size).sum())
+
+    with pytest.raises(NumbaError):
+        bare_kernel(makes)(3)
+
+    def gives(grid: FloatArray) -> FloatArray:
+        return grid[1:]
+
+    with pytest.raises(TypeError, match="gives returns an array"):
+        bare_kernel(gives)
+
+
+@bare_kernel
+def _sum_of_rows(grid: FloatArray) -> float:
+    total = 0.0
+    for i in range(grid.shape[0]):
+        line = grid[i]
+        for value in line:
+            total += value
+    return total
