@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticEphemeris
+from catalog.bodies.ephemeris import SUN_GM_M3_S2, AnalyticEphemeris
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import DataError, NoSolutionError
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
@@ -33,6 +33,49 @@ def test_two_hours_are_those_of_scipy_at_1e_13(degree, bound_m):
     found, _ = OrbitMotion(forces).propagate(low_orbit(), EPOCH, np.array([to]))
     wanted = exact_place(forces, low_orbit(), EPOCH, to)
     assert np.linalg.norm(found[0, :3] - wanted) < bound_m
+
+
+def test_a_day_of_a_low_orbit_is_that_of_taylor_series():
+    """By heyoka, with the field of degree 2 as a formula and its gradient by symbols; rotation,
+    Earth and Sun as polynomials over the day, good to 1e-12 of their sizes."""
+    hy = pytest.importorskip("heyoka", reason="heyoka (extra outside) is not there")
+    forces = Forces(MOTION, ForcesSettings(degree=2))
+    day, field = 86_400.0, forces.field
+    since = np.linspace(0.0, day, 60)
+
+    def of_time(values):
+        series = np.polynomial.Chebyshev.fit(since / day, values, 14)
+        fit = series.convert(kind=np.polynomial.Polynomial)
+        total = hy.expression(0.0)
+        for coefficient in fit.coef[::-1]:
+            total = total * (hy.time / day) + float(coefficient)
+        return total
+
+    turns = np.array([MOTION.body_from_inertial(EPOCH + t) for t in since])
+    turn = [[of_time(turns[:, i, j]) for j in range(3)] for i in range(3)]
+    x, y, z, *speeds = hy.make_vars("x", "y", "z", "u", "v", "w")
+    square = x * x + y * y + z * z
+    c, s = (values[2] * np.sqrt(5.0) for values in (field.c, field.s))
+    shape = c[0] * (3.0 * z * z - square) / 2.0
+    shape += np.sqrt(3.0) * (c[1] * x * z + s[1] * y * z)
+    shape += np.sqrt(3.0) / 2.0 * (c[2] * (x * x - y * y) + 2.0 * s[2] * x * y)
+    potential = forces.gm * (square**-0.5 + field.radius_m**2 * shape * square**-2.5)
+    places = (x, y, z)
+    fixed = [sum(turn[i][j] * places[j] for j in range(3)) for i in range(3)]
+    of_body = dict(zip("xyz", fixed, strict=True))
+    slope = [hy.subs(hy.diff(potential, one), of_body) for one in places]
+    pull = [sum(turn[i][j] * slope[i] for i in range(3)) for j in range(3)]
+    for name, gm in (("earth", load_body("earth").gm_m3_s2), ("sun", SUN_GM_M3_S2)):
+        there = np.array([MOTION.position_m(name, EPOCH + t) for t in since])
+        far = [of_time(there[:, j]) for j in range(3)]
+        away = [far[j] - places[j] for j in range(3)]
+        near_cube, far_cube = (sum(a * a for a in way) ** -1.5 for way in (away, far))
+        pull = [pull[j] + gm * (away[j] * near_cube - far[j] * far_cube) for j in range(3)]
+    system = [*zip(places, speeds, strict=True), *zip(speeds, pull, strict=True)]
+    flight = hy.taylor_adaptive(system, low_orbit().tolist(), tol=1e-15, compact_mode=True)
+    flight.propagate_until(day)
+    found, _ = OrbitMotion(forces).propagate(low_orbit(), EPOCH, np.array([EPOCH + day]))
+    assert np.linalg.norm(found[0, :3] - flight.state[:3]) < 0.01
 
 
 def test_the_study_says_what_a_degree_costs_and_leaves_out():

@@ -112,6 +112,33 @@ def test_the_field_of_the_mesh_has_the_published_flattening_and_pulls_as_its_mas
     assert ours == pytest.approx(pull, rel=2e-3)
 
 
+def test_the_field_of_the_mesh_pulls_as_the_polyhedron() -> None:
+    """By the closed form of polyhedral-gravity, which says all degrees: from 20 km what degrees
+    above 8 pull is left, 1e-3 of it."""
+    outside = pytest.importorskip(
+        "polyhedral_gravity", reason="polyhedral-gravity (extra outside) is not there"
+    )
+    shape = load_shape(BUNDLED_MESH, resource("configs/orbits/qso_55km.toml").parent, PHOBOS)
+    corners = shape.vertices[shape.faces]
+    volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    # the field is about the centre of the model's coordinates without its dipole
+    middle = (volumes[:, None] * corners.sum(axis=1)).sum(axis=0) / 4.0 / volumes.sum()
+    solid = outside.Polyhedron(
+        polyhedral_source=(shape.vertices, shape.faces),
+        density=1.0 / 6.6743e-11 / float(volumes.sum()),
+        integrity_check=outside.PolyhedronIntegrity.DISABLE,
+    )
+    table = harmonics.harmonic_tables(mesh_field(shape, PHOBOS.radius_m, 8), 8)[0]
+    for place in ([16e3, -10e3, 8e3], [5e3, 18e3, -7e3], [-3e3, 4e3, 19.5e3]):
+        at = np.array(place)
+        distance, ours = float(np.linalg.norm(at)), np.empty(3)
+        harmonics.pull(at, (1.0, PHOBOS.radius_m), table, ours)
+        dipole = middle / distance**3 - 3.0 * (middle @ at) * at / distance**5
+        wanted = np.array(outside.evaluate(solid, at, parallel=False)[1])
+        found = ours - at / distance**3 + dipole
+        assert np.linalg.norm(found - wanted) < 1e-3 * np.linalg.norm(wanted)
+
+
 def test_the_turning_frame_turns_with_the_moon() -> None:
     motion = MoonMotion(PHOBOS)
     turning = motion.turning_from_inertial(np.array([BEGIN]))[0]
