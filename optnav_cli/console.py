@@ -124,6 +124,7 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
 PACKAGES = ("catalog", "optnav_cli")
+LINE_LETTERS = 2000  # at most, in a message for people
 LINE_S = 60.0  # between plain progress lines
 # Of an event for a frame or, without `frame`, for a stage; optnav_cli/README.md describes them.
 EVENT_FIELDS = ("stage", "frame", "status", "method", "reason_code", "seconds")
@@ -147,12 +148,21 @@ class JsonLines(logging.Formatter):
         return json.dumps(entry, ensure_ascii=False)
 
 
+def _shortened(message: str) -> str:
+    """A message without the middle of lines that are very long: a name may have 5000 letters."""
+    half = LINE_LETTERS // 2
+    return "\n".join(
+        line if len(line) <= LINE_LETTERS else f"{line[:half]} [...] {line[-half:]}"
+        for line in message.split("\n")
+    )
+
+
 class PeopleHandler(logging.Handler):
     """Writes messages to stderr, above a bar if one is being shown."""
 
     def emit(self, record: logging.LogRecord) -> None:
         kind = "warning: " if record.levelno == logging.WARNING else ""
-        line = f"optnav: {kind}{record.getMessage()}"
+        line = f"optnav: {kind}{_shortened(record.getMessage())}"
         shown = sys.modules.get("tqdm")  # no bar without its module
         if shown is not None:
             shown.tqdm.write(line, file=sys.stderr)

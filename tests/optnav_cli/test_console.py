@@ -70,6 +70,16 @@ def test_quiet_and_verbose_choose_what_people_see(
     assert [line.split()[-1] for line in capsys.readouterr().err.splitlines()] == seen
 
 
+def test_a_very_long_line_is_shown_without_its_middle(capsys: pytest.CaptureFixture[str]) -> None:
+    set_up_logging(quiet=False, verbose=False, log_file=None)
+    _log.warning("%s: no name of a file\nand more", "1" * 5000)
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith("optnav: warning: 111")
+    assert first.endswith("1: no name of a file")
+    assert len(first) < 2100
+    assert second == "and more"
+
+
 def test_the_log_file_has_every_detail_as_json_lines_even_when_quiet(tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
     set_up_logging(quiet=True, verbose=False, log_file=path)

@@ -51,8 +51,10 @@ SHARED_FOLDER = "OPTNAV_SHARED_DATA"
 def path_of(name: str, base_dir: Path) -> Path:
     """The file that a config names: beside the config, among the data that travel along, or shared.
 
-    Raises ConfigError for a shared or shipped file that is not there.
+    Raises ConfigError for a shared or shipped file that is not there, and for what is no path.
     """
+    if "\0" in name:
+        raise ConfigError(f"{name!r:.60} is no path of a file; a path holds no NUL")
     if name.startswith(SHARED):
         folder = os.environ.get(SHARED_FOLDER)
         if not folder:

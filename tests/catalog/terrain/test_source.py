@@ -8,6 +8,8 @@ import rasterio
 from rasterio.transform import Affine
 
 from catalog.config import resource
+from catalog.errors import ConfigError
+from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.source import DemSettings, DemSource
 
 # file, scale and offset that its label or documentation gives, whether the sum is a radius
@@ -233,3 +235,8 @@ def test_isis_saturation_is_no_data(moon):
     convert = Conversion(0.5, 0.0, -32768.0, ISIS_LOWEST_VALID["int16"])
     raw = np.array([[-32768, -32767, -32764, -32753, -32752, 10]], dtype=np.int16)
     assert np.isnan(convert(raw)).tolist() == [[True, True, True, True, False, False]]
+
+
+def test_a_name_with_a_nul_is_no_path(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is no path of a file"):
+        path_of("nul\0", tmp_path)
