@@ -91,6 +91,7 @@ def load_orbit(path: Path) -> object:
 
 
 def load_model(path: Path) -> object:
+    from catalog.correlation.relief_albedo import ReliefAlbedo
     from catalog.terrain.error_model import TerrainLaws
     from optnav_cli.hazard.model import HazardModel
     from optnav_cli.measurements.cylinder_sizes import CylinderErrorSizes
@@ -105,6 +106,7 @@ def load_model(path: Path) -> object:
 
     types: dict[str, type[object]] = {
         "acceptance": AcceptanceLimits,
+        "albedo": ReliefAlbedo,
         "terrain": TerrainLaws,
         "control_points": PointErrorSizes,
         "descent": DescentErrorSizes,

@@ -45,10 +45,15 @@ def high_pass(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -> Float
     """
     valid = np.isfinite(grid)
     if valid.all():
-        return grid - _blurred(grid, sigma_nodes)
+        return high_pass_finite(grid, sigma_nodes)
     filled = np.where(valid, grid, np.float32(0.0)).astype(np.float32)
     mean = _local_mean(filled, valid, sigma_nodes)
     return np.where(valid, filled - mean, np.float32(0.0)).astype(np.float32)
+
+
+def high_pass_finite(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -> Float32Array:
+    """`high_pass` of a grid (rows, cols), or up to four behind each other, without NaN."""
+    return grid - _blurred(grid, sigma_nodes)
 
 
 def _local_mean(filled: Float32Array, valid: BoolArray, sigma_nodes: float) -> Float32Array:
@@ -257,13 +262,13 @@ def match_cut(
     known = cropped(has, margin_nodes)
     match = locate_peak(correlated(template, image), int(np.count_nonzero(known)))
     shows = np.isfinite(search)
-    if not shows.all() and (known & ~_place(shows, known, match)).any():
+    if not shows.all() and (known & ~laid_at(shows, known, match)).any():
         # zeros for what the grid lacks would pull the reference inward
         match = match_masked(reference, search, margin_nodes)
     elif remainder and np.isfinite(match.covariance).all():
-        both = has & _place(shows, has, match)
+        both = has & laid_at(shows, has, match)
         if both.all():
-            patch = _place(image.values, template.values, match)
+            patch = laid_at(image.values, template.values, match)
             return _by_remainder(match, soft, patch, both, margin_nodes)
     return with_remainder_covariance(match, reference, search, margin_nodes) if remainder else match
 
@@ -277,7 +282,7 @@ def with_remainder_covariance(
     """
     if not np.isfinite(match.covariance).all():
         return match
-    seen = _place(search, reference, match)
+    seen = laid_at(search, reference, match)
     both, hole = np.isfinite(reference) & np.isfinite(seen), np.float32(np.nan)
     template, patch = (high_pass(np.where(both, grid, hole)) for grid in (reference, seen))
     return _by_remainder(match, template, cropped(patch, margin_nodes), both, margin_nodes)
@@ -288,7 +293,7 @@ def _by_remainder(
 ) -> Match:
     """With high-passed grids; the patch and what both have: about the nearest node of the match."""
     x, y = match.dx - np.rint(match.dx), match.dy - np.rint(match.dy)
-    laid, slopes = _moved(template, x, y, margin_nodes)
+    laid, slopes = moved(template, x, y, margin_nodes)
     found = refined_by_remainder(laid, slopes, patch, cropped(both, margin_nodes))
     if not np.isfinite(found.covariance).all():
         return match._replace(covariance=found.covariance)
@@ -297,7 +302,7 @@ def _by_remainder(
     return match._replace(dx=match.dx + x, dy=match.dy + y, covariance=found.covariance)
 
 
-def _place(search: NDArray[Number], reference: NDArray[Any], match: Match) -> NDArray[Number]:
+def laid_at(search: NDArray[Number], reference: NDArray[Any], match: Match) -> NDArray[Number]:
     """The nodes (n, n) of a search grid on which a reference lies where it was found."""
     side = reference.shape[0]
     room = (search.shape[0] - side) // 2
@@ -305,9 +310,7 @@ def _place(search: NDArray[Number], reference: NDArray[Any], match: Match) -> ND
     return search[row : row + side, col : col + side]
 
 
-def _moved(
-    grid: Float32Array, x: float, y: float, margin: int
-) -> tuple[Float32Array, Float32Array]:
+def moved(grid: Float32Array, x: float, y: float, margin: int) -> tuple[Float32Array, Float32Array]:
     """A grid moved by less than two nodes along columns and rows, and its slopes (n, n, 2).
 
     By polynomials through six nodes a side: slopes of neighbours' differences would be too small

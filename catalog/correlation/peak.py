@@ -183,7 +183,7 @@ def refined_by_remainder(
     )
     # both are even, so that the transform is its own inverse
     correlation = _real_transform(_power(of_pair))
-    spectrum = _real_transform(correlation * _taper(side)) / np.float32(common.sum() * side**2)
+    spectrum = _real_transform(correlation * lag_taper(side)) / np.float32(common.sum() * side**2)
     normal, right, scatter = _weighted_sums(of_slopes, of_pair, spectrum)
     size = np.sqrt(np.diag(normal))
     if not size.min() > 1e-12 * size.max():
@@ -206,7 +206,7 @@ def _real_transform(even: Float32Array) -> Float32Array:
 
 
 @cache
-def _taper(side: int) -> Float32Array:
+def lag_taper(side: int) -> Float32Array:
     """Weights (side, side) of a correlation by its lags, which wrap."""
     lag = np.minimum(np.arange(side), side - np.arange(side)) / LAG_NODES
     one = np.exp(-0.5 * lag * lag)

@@ -16,6 +16,7 @@ from catalog.correlation.ncc import (
     with_remainder_covariance,
 )
 from catalog.correlation.peak import NODES_PER_SAMPLE, Match
+from catalog.correlation.relief_albedo import relief_patterns, without_relief_albedo
 from catalog.correlation.similarity import Matcher, best_pair, match_similarity, turned
 from catalog.geometry.kernel import bare_kernel, kernel
 from optnav_cli.camera.camera import Camera
@@ -36,6 +37,10 @@ MIN_ROOM = 3
 CHANCE_NODES_PER_SAMPLE = 6.0
 # Rendered beyond the template on every side, so that the high-pass does not end at its border.
 MARGIN_NODES = 8
+
+# A match that scores more leaves albedo that follows relief too little room to be told apart: of
+# Apollo 15's frame, with scores of 0.8 to 0.9, residuals would grow from 0.15 to 0.27 px.
+PLAIN_SCORE = 0.8
 
 OUTSIDE = Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame")
 
@@ -129,7 +134,11 @@ def match_point(
     if blur_nodes:
         even = plan.template_nodes % 2 == 0
         template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
+    rendered = template
     template, match = _found(template, window, plan, matcher)
+    if match.score < PLAIN_SCORE and template is rendered and not (blur_nodes or plan.interim):
+        patterns = relief_patterns(around, posting, rendered)
+        match = without_relief_albedo(match, template, patterns, window, MARGIN_NODES)
     samples = 0.0
     if blur_nodes:
         samples = _common_nodes(template, window, match) / nodes_a_sample(blur_nodes / step)

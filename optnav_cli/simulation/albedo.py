@@ -28,7 +28,6 @@ FINER_THAN_MAP = 2.0  # the longest wave of the noise below a map, in its pixels
 ALBEDO_STREAM = 1 << 41
 MAX_MAP_PIXELS = 64_000_000
 PARTS = 8  # of a row of pixels, for several cores
-PARTS = 8  # of a row of pixels, for several cores
 MIN_FACTOR, MAX_FACTOR = 0.3, 3.0
 
 
@@ -39,7 +38,7 @@ class Albedo:
     """
 
     def __init__(self, settings: TruthSettings, body: Body) -> None:
-        self._map = _AlbedoMap(settings.albedo_map, body) if settings.albedo_map else None
+        self._map = AlbedoMap(settings.albedo_map, body) if settings.albedo_map else None
         largest = FINER_THAN_MAP * self._map.posting_m if self._map else MAX_SPACING_M
         count = 1 + int(np.ceil(np.log2(largest / MIN_SPACING_M)))
         spacing = largest / 2.0 ** np.arange(count, dtype=np.float64)
@@ -69,7 +68,7 @@ class Albedo:
         return reflectivity
 
 
-class _AlbedoMap:
+class AlbedoMap:
     """A brightness map over its mean; 1 outside of it."""
 
     def __init__(self, settings: AlbedoMapSettings, body: Body) -> None:

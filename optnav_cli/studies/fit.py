@@ -40,7 +40,7 @@ from optnav_cli.navigation.control_points.expectation import FrameContext, expec
 from optnav_cli.navigation.control_points.solve import MatchedFrame, match_all, matched_frame
 from optnav_cli.navigation.observation import Observation, observation_of
 from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
-from optnav_cli.studies import descent_fit, flights, horizon_fit, likelihood, navigation
+from optnav_cli.studies import albedo_fit, descent_fit, flights, horizon_fit, likelihood, navigation
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 # Folders that catalogs and pictures of a model are taken from.
@@ -48,6 +48,7 @@ FOLDERS = {
     "control_points": "optnav-navigation",
     "descent": "optnav-descent",
     "horizon": "optnav-horizon",
+    "albedo": "",  # of none
 }
 # Scenarios with their catalogs: of one the first frames are fitted with, the others only score.
 FITTED = {"real_unk_200km": "tycho"}
@@ -85,13 +86,15 @@ def run(
     frames: int | None = None,
     rows: str = "",
     output: Path | None = None,
-) -> "FitResult | descent_fit.DescentFitResult | horizon_fit.HorizonFitResult":
+) -> "AnyResult":
     """Fit the sizes of one of FOLDERS' models; a TOML file with them goes to `output`.
 
     folder  of a study, whose catalogs and pictures are used again; None for that of FOLDERS
     frames  pictures of a scenario, its own number when None; of a descent always all
     rows    only scenarios whose name contains this
     """
+    if name == "albedo":
+        return albedo_fit.run(progress, rows, output)
     folder = folder or Path(FOLDERS[name])
     if name == "descent":
         return descent_fit.run(progress, folder, rows, output)
@@ -303,10 +306,18 @@ SCORES = columns("scenario; frames; ground; NEES_old = NEES, old .2f; NEES_new =
                  "worst_old = worst, old [σ] .1f; worst_new = worst, new [σ] .1f")  # fmt: skip
 
 
-def report(
-    result: FitResult | descent_fit.DescentFitResult | horizon_fit.HorizonFitResult,
-) -> StudyReport:
+AnyResult = (
+    FitResult
+    | albedo_fit.AlbedoFitResult
+    | descent_fit.DescentFitResult
+    | horizon_fit.HorizonFitResult
+)
+
+
+def report(result: AnyResult) -> StudyReport:
     """The sizes with what halving and doubling the new ones costs, and NEES by scenario."""
+    if isinstance(result, albedo_fit.AlbedoFitResult):
+        return albedo_fit.report(result)
     if isinstance(result, descent_fit.DescentFitResult):
         return descent_fit.report(result)
     if isinstance(result, horizon_fit.HorizonFitResult):

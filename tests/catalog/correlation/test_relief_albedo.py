@@ -1,0 +1,110 @@
+"""Matches on ground whose albedo follows its relief: their places, and what they state of them."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from catalog.correlation.ncc import match_ncc, with_remainder_covariance
+from catalog.correlation.relief_albedo import (
+    relief_patterns,
+    shipped_strengths,
+    steepness_and_crests,
+    without_relief_albedo,
+)
+
+POSTING_M = 948.0
+MARGIN, ROOM, SIDE = 8, 8, 96
+SUN_SLOPE = np.tan(np.radians(36.0))  # of the shading: slope against the sine of the Sun's height
+
+
+def heights(rng: np.random.Generator) -> np.ndarray:
+    """A plain with craters of 4 to 15 km, (128, 128) m."""
+    size = SIDE + 2 * ROOM + 16
+    rows, cols = np.mgrid[:size, :size]
+    ground = 30.0 * ndimage.gaussian_filter(rng.normal(size=(size, size)), 3.0)
+    for _ in range(14):
+        row, col, radius = *rng.uniform(10.0, size - 10.0, 2), rng.uniform(2.0, 8.0)
+        away = np.hypot(rows - row, cols - col) / radius
+        ground += 60.0 * radius * (0.4 * np.exp(-(((away - 1.0) / 0.35) ** 2)) - np.exp(-(away**3)))
+    return ground
+
+
+def shaded(ground: np.ndarray) -> np.ndarray:
+    """Brightness under a Sun in the east."""
+    return 1.0 - np.gradient(ground, POSTING_M, axis=1) / SUN_SLOPE
+
+
+def cut(grid: np.ndarray, size: int) -> np.ndarray:
+    first = (grid.shape[0] - size) // 2
+    return np.ascontiguousarray(grid[first : first + size, first : first + size], np.float32)
+
+
+def trial(rng: np.random.Generator, steepness: float, crests: float):
+    """Matches without and with the patterns; the reference lies where it was cut."""
+    ground = heights(rng)
+    reference = cut(shaded(ground), SIDE)
+    steep, crest = steepness_and_crests(ground, POSTING_M)
+    dust = 0.01 * ndimage.gaussian_filter(rng.normal(size=ground.shape), 1.0) / 0.28
+    seen = shaded(ground) * np.exp(steepness * steep + crests * crest + dust)
+    search = cut(seen, SIDE + 2 * ROOM)
+    before = with_remainder_covariance(
+        match_ncc(reference, search, MARGIN), reference, search, MARGIN
+    )
+    patterns = relief_patterns(cut(ground, SIDE), POSTING_M, reference)
+    return before, without_relief_albedo(before, reference, patterns, search, MARGIN)
+
+
+def squares(matches: list) -> float:
+    """Mean of the squared errors in the stated sigmas, a degree of freedom."""
+    errors = [np.array([m.dx, m.dy]) for m in matches]
+    pairs = zip(errors, matches, strict=True)
+    return float(np.mean([e @ np.linalg.solve(m.covariance, e) / 2.0 for e, m in pairs]))
+
+
+def test_bright_crests_move_a_place_and_the_patterns_move_it_back() -> None:
+    """A Sun in the east: crests that are brighter than the plain move places westward."""
+    rng = np.random.default_rng(1)
+    pairs = [trial(rng, 0.9, -0.3) for _ in range(20)]
+    before, after = ([pair[k] for pair in pairs] for k in (0, 1))
+    assert np.mean([m.dx for m in before]) < -0.1
+    assert abs(np.mean([m.dx for m in after])) < 0.03
+    assert squares(before) > 5.0
+    assert squares(after) < 2.0
+
+
+def test_a_match_stays_where_albedo_does_not_follow_relief() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        before, after = trial(rng, 0.0, 0.0)
+        assert after is before
+
+
+def test_a_hole_and_a_peak_that_is_none_stay() -> None:
+    rng = np.random.default_rng(3)
+    ground = heights(rng)
+    reference = cut(shaded(ground), SIDE)
+    patterns = relief_patterns(cut(ground, SIDE), POSTING_M, reference)
+    search = cut(shaded(ground), SIDE + 2 * ROOM)
+    match = match_ncc(reference, search, MARGIN)
+    none = match._replace(covariance=np.diag([np.inf, np.inf]))
+    assert without_relief_albedo(none, reference, patterns, search, MARGIN) is none
+    search[50, 50] = np.nan
+    assert without_relief_albedo(match, reference, patterns, search, MARGIN) is match
+
+
+def test_crests_are_below_zero_and_slopes_are_steep() -> None:
+    rows = np.abs(np.arange(9.0) - 4.0)
+    ridge = np.repeat(-100.0 * rows[:, None], 9, axis=1)
+    steep, crests = steepness_and_crests(ridge, (1000.0, 500.0))
+    assert steep[1, 4] == pytest.approx(0.1)
+    assert crests[4, 4] == pytest.approx(-0.1)
+    assert crests[1, 4] == pytest.approx(0.0)
+
+
+@pytest.mark.calibration
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_strengths_halved_or_doubled_are_no_longer_those_of_the_moon(factor: float) -> None:
+    """Of 367 squares the mean of crests is known to 0.007, of steepness to 0.025."""
+    shipped = shipped_strengths()
+    for strength, known in ((shipped.steepness, 0.025), (shipped.crests, 0.007)):
+        assert abs(strength.mean * (factor - 1.0)) > 5.0 * known
