@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.config import resource, toml_text
-from catalog.errors import NothingToDoError
+from catalog.errors import NothingToDoError, UsageError
 from catalog.files import check_file, starts_with, write_output
 from catalog.geometry.vectors import squared_distance
 from catalog.places import make_folder
@@ -94,6 +94,8 @@ def run(
     rows    only scenarios whose name contains this
     """
     if name == "albedo":
+        if folder or frames:
+            raise UsageError("albedo is fitted without pictures; leave --folder and --frames out")
         return albedo_fit.run(progress, rows, output)
     folder = folder or Path(FOLDERS[name])
     if name == "descent":

@@ -1,12 +1,14 @@
 """The fit of how albedo follows relief: from ground whose albedo is drawn by known strengths."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from catalog.config import resource, toml_text
 from catalog.correlation.relief_albedo import FILE, shipped_strengths, steepness_and_crests
-from catalog.errors import ConfigError, NothingToDoError
+from catalog.errors import ConfigError, NothingToDoError, UsageError
 from catalog.progress import SilentProgress
 from optnav_cli.studies import albedo_fit, fit, likelihood
 from optnav_cli.studies.albedo_fit import AlbedoFitResult, fitted, numbers, squares
@@ -51,6 +53,11 @@ def test_new_strengths_are_written_over_the_old_ones() -> None:
 def test_ground_of_another_name_is_refused() -> None:
     with pytest.raises(NothingToDoError, match="no ground to fit with is called 'none'"):
         fit.run(SilentProgress(), "albedo", rows="none")
+
+
+def test_pictures_are_refused_where_none_are_needed(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="leave --folder and --frames out"):
+        fit.run(SilentProgress(), "albedo", folder=tmp_path)
 
 
 def test_without_the_shared_map_the_fit_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
