@@ -114,7 +114,7 @@ def smooth(arc: LinearArc) -> SmoothedArc:
         for m in by_node[i]:
             h, r = m.design, m.covariance
             ph = p @ h.T
-            weight = np.linalg.inv(h @ ph + r)
+            weight = _inverse(h @ ph + r)
             gain = ph @ weight
             y = m.residual - h @ d
             c = one - gain @ h
@@ -147,6 +147,17 @@ def smooth(arc: LinearArc) -> SmoothedArc:
     return SmoothedArc(
         filtered_d, filtered_p, disturbances, chi_square, numbers, scores, information
     )
+
+
+def _inverse(covariance: FloatArray) -> FloatArray:
+    """Raises NoSolutionError where numbers have too few digits for it."""
+    try:
+        return np.linalg.inv(covariance).astype(np.float64, copy=False)
+    except np.linalg.LinAlgError as error:
+        raise NoSolutionError(
+            "the stated sigmas are too small against the first orbit for numbers of 16 digits; "
+            "see their unit"
+        ) from error
 
 
 def batch(arc: LinearArc) -> SmoothedArc:

@@ -104,15 +104,16 @@ class OrbitSolver:
         except NoSolutionError as error:
             first, last = _utc(self.problem, 0), _utc(self.problem, -1)
             raise NoSolutionError(
-                f"the fixes from {first} to {last} fit no one orbit ({error}); see that they are "
-                "of one flight, and fit parts of it"
+                f"the {self.problem.measured} from {first} to {last} fit no one orbit ({error}); "
+                "see that they are of one flight, and fit parts of it"
             ) from error
         found = self.solve(arc)
         self.steps += 1
         width = self.problem.width
         deltas = found.deviations[:, :width, 0]
         if not np.abs(deltas[:, :6]).max() < RUNAWAY_M:
-            raise NoSolutionError("the steps of the fit run away; the fixes fit no orbit")
+            text = f"the steps of the fit run away; the {self.problem.measured} fit no orbit"
+            raise NoSolutionError(text)
         parameters = at.parameters + deltas[-1, 6:]
         sigmas = np.sqrt(np.maximum(np.diagonal(found.covariances, axis1=1, axis2=2), 1e-300))
         sigmas = sigmas[:, :width]
@@ -133,7 +134,8 @@ class OrbitSolver:
                 break
         raise NoSolutionError(
             f"the fit does not converge: after {MAX_STEPS} steps it still moves by {size:.2g} "
-            "sigmas; see that the fixes are of one flight and the forces are those of this body"
+            f"sigmas; see that the {self.problem.measured} are of one flight and the forces are "
+            "those of this body"
         )
 
 

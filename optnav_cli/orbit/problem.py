@@ -169,6 +169,11 @@ class OrbitProblem:
         return int(np.argmin(np.abs(self.times - time)))
 
     @property
+    def measured(self) -> str:
+        """What the orbit goes through, in words."""
+        return "fixes"
+
+    @property
     def ephemeris(self) -> Ephemeris:
         return self.motion.ephemeris
 

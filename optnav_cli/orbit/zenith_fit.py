@@ -130,7 +130,10 @@ def best_fit(
         try:
             at = _start(problem, first, DROPPED * max(least, 1.0))
         except NoSolutionError as error:
-            said = said or error
+            text = (
+                f"the zenith distances fit no one orbit ({error}); see that they are of one flight"
+            )
+            said = said or NoSolutionError(text)
             continue
         begun.append((_usual(problem, at), problem, at))
         if len(sights.stars_used) > 2 and begun[-1][0] < MAX_SCATTER**2:
@@ -157,6 +160,14 @@ def best_fit(
                 "a third star, or state a [[prior]]"
             )
     return best
+
+
+def _of_sights(error: NoSolutionError) -> NoSolutionError:
+    """The same that says what was fitted."""
+    if "zenith distances" in str(error):
+        return error
+    text = f"the zenith distances fit no one orbit ({error}); see that they are of one flight"
+    return NoSolutionError(text, error.code)
 
 
 def settled(problem: ZenithProblem, at: Trajectory, gate_probability: float) -> ZenithFit:

@@ -45,6 +45,11 @@ class ZenithProblem(OrbitProblem):
         self.node_of_sight = np.clip(number, 0, max(len(self.times) - 2, 0))
 
     @property
+    def measured(self) -> str:
+        """What the orbit goes through, in words."""
+        return "zenith distances"
+
+    @property
     def sizes(self) -> Mapping[str, int]:
         """With two numbers for each star, along east and north."""
         return {**SIZES, "star_catalog": 2 * len(self.sights.names)}

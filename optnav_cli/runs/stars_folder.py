@@ -17,6 +17,7 @@ from catalog.progress import Progress, logged_stage
 from catalog.tables import CsvRow
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import read_cameras
+from optnav_cli.frames.frames import MAX_DISTANCE_M
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.run_settings import RUN_TOML, read_run_settings
 from optnav_cli.frames.tables import ATTITUDES, POSITION, QUATERNION, STAR_FRAMES
@@ -160,6 +161,8 @@ def _row(
             known = ", ".join(sorted(cameras))
             raise DataError(f"camera '{row['camera']}' has no file in cameras/; there are {known}")
         place = row.vector(POSITION)
+        if place is not None and np.abs(place).max() > MAX_DISTANCE_M:
+            raise DataError(f"the position lies farther off than {MAX_DISTANCE_M:g} m")
         distance = None if place is None else float(np.linalg.norm(place))
         view = SkyView(body, utc_to_tdb_s(utc) if utc else None, distance)
         picture = load_picture(folder / file, camera)

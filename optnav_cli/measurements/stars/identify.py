@@ -390,6 +390,8 @@ def _wrong_lens(scale: float) -> NoSolutionError:
 
 
 def _too_few(spots: StarSpots) -> str:
+    if len(spots) >= MIN_STARS:
+        return f"most spots are no points, {len(spots)} are{_besides(spots)}"
     return f"{len(spots)} spots are fewer than the {MIN_STARS} stars wanted{_besides(spots)}"
 
 

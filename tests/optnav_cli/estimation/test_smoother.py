@@ -1,5 +1,7 @@
 """The smoother against batch least squares, the nuisance method, and its own sigmas."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -136,3 +138,12 @@ def test_a_further_right_side_is_solved_with_the_same_gains():
     )
     found = smooth(twice).deviations
     assert np.allclose(found[:, :, 1], 2.0 * found[:, :, 0], rtol=1e-12)
+
+
+def test_sigmas_beyond_the_digits_of_numbers_are_refused_in_words():
+    """As of a file whose sigmas are in another unit: two rows that say the same leave nothing."""
+    problem, _ = arc(0.0)
+    h = np.eye(1, 6).repeat(2, axis=0)
+    fine = NodeMeasurement(0, np.ones((2, 1)), h, np.eye(2) * 1e-30)
+    with pytest.raises(NoSolutionError, match="sigmas are too small"):
+        smooth(replace(problem, measurements=[fine, *problem.measurements]))

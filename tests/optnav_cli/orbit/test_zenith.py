@@ -177,6 +177,15 @@ def test_sights_of_no_orbit_are_refuted(flown):
         fit_zenith(MOTION, sights, [], [], GATE)
 
 
+def test_sights_of_two_flights_are_said_to_fit_no_one_orbit(flown):
+    times, states = flown
+    half = len(times) // 2
+    sights = sights_of(times[: 2 * half], np.concatenate([states[:half], states[:half]]))
+    with pytest.raises(NoSolutionError, match=r"zenith distances|refute") as caught:
+        fit_zenith(MOTION, sights, [], [], GATE)
+    assert "the fixes" not in str(caught.value)
+
+
 def test_the_command_fits_a_file_and_others_read_the_folder(flown, tmp_path, capsys):
     file = write(tmp_path / "zenith.csv", sights_of(*flown))
     (tmp_path / "orbit.toml").write_text(CONFIG)

@@ -61,6 +61,9 @@ def test_a_place_far_out_says_that_the_craft_is_slower_and_narrows_the_sigmas(tm
     (folder / "frames.csv").write_text(f"file,utc,camera,x_m,y_m,z_m\na.png,{UTC},sky,0,0,\n")
     with pytest.raises(NothingToDoError, match="z_m"):
         stars_folder(folder, tmp_path / "part", SilentProgress())
+    (folder / "frames.csv").write_text(f"file,utc,camera,x_m,y_m,z_m\na.png,{UTC},sky,1e300,0,0\n")
+    with pytest.raises(NothingToDoError, match="farther off than 1e"):
+        stars_folder(folder, tmp_path / "beyond", SilentProgress())
 
 
 def test_a_folder_without_any_attitude_ends_so_and_a_name_twice_is_refused(tmp_path):
