@@ -3,6 +3,7 @@
 import os
 import re
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -305,13 +306,19 @@ def load_body(name_or_path: str, beside: Path | None = None) -> Body:
     """
     if is_body_file(name_or_path):
         return read_body((beside or Path()) / name_or_path)
+    return _shipped_body(name_or_path)
+
+
+@cache
+def _shipped_body(name: str) -> Body:
+    """Read once: a file takes milliseconds, and all that comes near a body asks for it."""
     folder = resource("configs/bodies/moon.toml").parent
     known = sorted(path.stem for path in folder.glob("*.toml"))
-    if name_or_path not in known:
-        near = nearest_name(name_or_path.lower(), known)
+    if name not in known:
+        near = nearest_name(name.lower(), known)
         hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
-        raise ConfigError(f"no body '{name_or_path}'; {hint}, or give the path of a body's file")
-    return read_body(folder / f"{name_or_path}.toml")
+        raise ConfigError(f"no body '{name}'; {hint}, or give the path of a body's file")
+    return read_body(folder / f"{name}.toml")
 
 
 def is_body_file(name_or_path: str) -> bool:

@@ -43,12 +43,21 @@ def high_pass(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -> Float
 
     grid (rows, cols) float32; returns the same shape, finite.
     """
-    valid = np.isfinite(grid)
+    return _high_passed((grid,), np.isfinite(grid), sigma_nodes)[0]
+
+
+def _high_passed(
+    grids: tuple[Float32Array, ...], valid: BoolArray, sigma_nodes: float = HIGH_PASS_NODES
+) -> list[Float32Array]:
+    """`high_pass` of grids whose nodes are those of `valid`."""
     if valid.all():
-        return high_pass_finite(grid, sigma_nodes)
-    filled = np.where(valid, grid, np.float32(0.0)).astype(np.float32)
-    mean = _local_mean(filled, valid, sigma_nodes)
-    return np.where(valid, filled - mean, np.float32(0.0)).astype(np.float32)
+        return [high_pass_finite(grid, sigma_nodes) for grid in grids]
+    weight, zero = _weight(valid, sigma_nodes), np.float32(0.0)
+    passed = []
+    for grid in grids:
+        filled = np.where(valid, grid, zero)
+        passed.append(np.where(valid, filled - _blurred(filled, sigma_nodes) / weight, zero))
+    return passed
 
 
 def high_pass_finite(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -> Float32Array:
@@ -56,11 +65,9 @@ def high_pass_finite(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -
     return grid - _blurred(grid, sigma_nodes)
 
 
-def _local_mean(filled: Float32Array, valid: BoolArray, sigma_nodes: float) -> Float32Array:
-    """Gaussian-weighted mean of the valid nodes about each node; the others must hold zero."""
-    weight = _blurred(valid.astype(np.float32), sigma_nodes)
-    mean = _blurred(filled, sigma_nodes) / np.maximum(weight, np.float32(1e-3))
-    return mean.astype(np.float32, copy=False)
+def _weight(valid: BoolArray, sigma_nodes: float) -> Float32Array:
+    """Gaussian-weighted share of the valid nodes about each node, but for a thousandth."""
+    return np.maximum(_blurred(valid.astype(np.float32), sigma_nodes), np.float32(1e-3))
 
 
 def _blurred(grid: Float32Array, sigma_nodes: float) -> Float32Array:
@@ -178,7 +185,7 @@ def low_pass(grid: Float32Array, sigma_nodes: float) -> Float32Array:
     """Gaussian-weighted local mean of a grid (rows, cols); NaN nodes take no part and stay."""
     valid = np.isfinite(grid)
     filled = np.where(valid, grid, np.float32(0.0)).astype(np.float32)
-    mean = _local_mean(filled, valid, sigma_nodes)
+    mean = _blurred(filled, sigma_nodes) / _weight(valid, sigma_nodes)
     return np.where(valid, mean, np.float32(np.nan)).astype(np.float32)
 
 
@@ -205,9 +212,12 @@ def thinned(grid: Float32Array, sigma_nodes: float, even: bool) -> Float32Array:
     return sample_bicubic(soft, rows, cols)
 
 
-def match_masked(reference: Float32Array, search: Float32Array, margin_nodes: int = 0) -> Match:
+def match_masked(
+    reference: Float32Array, search: Float32Array, margin_nodes: int, image: Filtered
+) -> Match:
     """Find a reference (n, n) in a search grid (m, m), m - n even; NaN of either takes no part.
 
+    image  of the search grid, `filtered`
     Both are float32 and carry `margin_nodes` that only the high-pass sees. The reference is cut as
     the search grid is about its middle before the high-pass, so that both bend at the same edges.
     """
@@ -215,8 +225,7 @@ def match_masked(reference: Float32Array, search: Float32Array, margin_nodes: in
     reference = np.where(np.isfinite(cropped(search, room)), reference, np.float32(np.nan))
     both = reference, search
     has, shows = (np.isfinite(cropped(grid, margin_nodes)).astype(np.float32) for grid in both)
-    template, image = (filtered(grid, margin_nodes) for grid in both)
-    surface, common = _surface(template, has, image, shows)
+    surface, common = _surface(filtered(reference, margin_nodes), has, image, shows)
     row, col = np.unravel_index(int(np.argmax(surface)), surface.shape)
     return locate_peak(surface, int(common[row, col]))
 
@@ -264,7 +273,7 @@ def match_cut(
     shows = np.isfinite(search)
     if not shows.all() and (known & ~laid_at(shows, known, match)).any():
         # zeros for what the grid lacks would pull the reference inward
-        match = match_masked(reference, search, margin_nodes)
+        match = match_masked(reference, search, margin_nodes, image)
     elif remainder and np.isfinite(match.covariance).all():
         both = has & laid_at(shows, has, match)
         if both.all():
@@ -283,8 +292,8 @@ def with_remainder_covariance(
     if not np.isfinite(match.covariance).all():
         return match
     seen = laid_at(search, reference, match)
-    both, hole = np.isfinite(reference) & np.isfinite(seen), np.float32(np.nan)
-    template, patch = (high_pass(np.where(both, grid, hole)) for grid in (reference, seen))
+    both = np.isfinite(reference) & np.isfinite(seen)
+    template, patch = _high_passed((reference, seen), both)
     return _by_remainder(match, template, cropped(patch, margin_nodes), both, margin_nodes)
 
 
@@ -321,7 +330,7 @@ def moved(grid: Float32Array, x: float, y: float, margin: int) -> tuple[Float32A
         cropped(np.asarray(cv2.sepFilter2D(grid, cv2.CV_32F, *pair), np.float32), margin)
         for pair in ((along, down), (slope, down), (along, fall))
     ]
-    return parts[0], np.stack(parts[1:], axis=-1)
+    return parts[0], np.asarray(cv2.merge(parts[1:]), np.float32)
 
 
 def _six_nodes(shift: float) -> tuple[FloatArray, FloatArray]:

@@ -161,9 +161,9 @@ def refined_by_remainder(
     of that fit and J the covariance of its right side from the spectrum of the rest as it is, the
     place has N^-1 J N^-1 / a^2; infinite where a <= 0: the patch does not show the template.
     """
-    slopes = np.where(common[..., None], slopes, np.float32(0.0))
     # one kind of array, so that the kernels are compiled once
     template, patch = np.ascontiguousarray(template), np.ascontiguousarray(patch)
+    slopes = np.ascontiguousarray(slopes)
     sums = _fit_sums(template, slopes, patch, common)
     # a template without contrast leaves an unknown open: then there is no gain
     if not sums.diagonal().min() > 1e-30:
@@ -171,15 +171,13 @@ def refined_by_remainder(
     fit: FloatArray = np.linalg.solve(sums[:, :4] * _LOADED, sums[:, 4]).astype(np.float64)
     if not fit[1] > 0.0:
         return NO_REMAINDER
-    rest = _left_over(template, slopes, patch, common, fit)
     # zeros about the grids keep opposite borders apart as far as errors are correlated
     side = cv2.getOptimalDFTSize(max(template.shape) + CORRELATED_NODES)
-    rows, cols = template.shape
     both, pair = np.zeros((2, side, side, 2), np.float32)
-    both[:rows, :cols] = slopes
-    pair[:rows, :cols, 0], pair[:rows, :cols, 1] = np.where(common, template, 0.0), rest
+    _lay_out(template, slopes, patch, common, fit, both, pair)
     of_slopes, of_pair = (
-        np.asarray(cv2.dft(grid, nonzeroRows=rows), np.float32) for grid in (both, pair)
+        np.asarray(cv2.dft(grid, nonzeroRows=template.shape[0]), np.float32)
+        for grid in (both, pair)
     )
     # both are even, so that the transform is its own inverse
     correlation = _real_transform(_power(of_pair))
@@ -251,23 +249,27 @@ def _fit_sums(
 
 
 @kernel
-def _left_over(
+def _lay_out(
     template: Float32Array,
     slopes: Float32Array,
     patch: Float32Array,
     common: BoolArray,
     fit: FloatArray,
-) -> Float32Array:
-    """What const, a, b, c leave over of the patch (n, n), 0 where not common."""
+    both: Float32Array,
+    pair: Float32Array,
+) -> None:
+    """Put slopes, and the template with what const, a, b, c leave over of the patch, into corners.
+
+    both, pair  (m, m, 2) zeros, which stay where not common
+    """
     rows, cols = template.shape
-    rest = np.zeros((rows, cols), np.float32)
     for r in range(rows):
         for c in range(cols):
             if common[r, c]:
                 shown = fit[0] + fit[1] * template[r, c]
                 shown += fit[2] * slopes[r, c, 0] + fit[3] * slopes[r, c, 1]
-                rest[r, c] = patch[r, c] - shown
-    return rest
+                pair[r, c, 0], pair[r, c, 1] = template[r, c], patch[r, c] - shown
+                both[r, c, 0], both[r, c, 1] = slopes[r, c, 0], slopes[r, c, 1]
 
 
 @kernel

@@ -161,6 +161,6 @@ def _pixels(
     """Pixels (size, size, 2) of the nodes of a plane about a place; row 0 is its top."""
     x, y = node_grid(size, posting_m)
     nodes = place_m + x[..., None] * axes[0] + y[..., None] * axes[1]
-    turn = pose.camera_from_body.as_matrix()
+    turn = pose.turn
     pixels: FloatArray = camera.project_from_body(nodes, pose.position_m, turn)
     return pixels

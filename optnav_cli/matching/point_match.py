@@ -123,7 +123,7 @@ def match_point(
     if refusal:
         return PointMatch(level, refusal)
     surface = reference.surface(level, heights)
-    camera_from_body = pose.camera_from_body.as_matrix()
+    camera_from_body = pose.turn
     pixels = camera.project_from_body(surface, pose.position_m, camera_from_body)
     window = sampled = picture.sample(pixels, posting / plan.metres_per_pixel)
     if plan.soft_nodes:

@@ -7,6 +7,7 @@ rotation, and a free attitude has none.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -35,6 +36,12 @@ class Pose:
 
     position_m: FloatArray
     camera_from_body: Rotation
+
+    @cached_property
+    def turn(self) -> FloatArray:
+        """(3, 3) of camera_from_body."""
+        matrix: FloatArray = self.camera_from_body.as_matrix()
+        return matrix
 
     def moved(self, step: FloatArray) -> "Pose":
         """The pose after a step (3,) or (6,) in the unknowns of `predict`."""
@@ -71,7 +78,7 @@ def predict(
     The six columns are the position (m) and a rotation vector in the camera frame (rad) applied
     after camera_from_body.
     """
-    turn = pose.camera_from_body.as_matrix()
+    turn = pose.turn
     points_camera = (points_body_m - pose.position_m) @ turn.T
     pixels, by_point = camera.project_with_jacobian(points_camera)
     by_position = -by_point @ turn

@@ -160,7 +160,7 @@ def expected_in_view(
     if len(index) == 0:
         none = np.empty(0)
         return ExpectedPoints(np.empty(0, dtype=np.intp), np.empty((0, 2)), none, none, none)
-    camera_from_body = pose.camera_from_body.as_matrix()
+    camera_from_body = pose.turn
     centres = (points_m[index] - pose.position_m) @ camera_from_body.T
     pixels, by_point = camera.project_with_jacobian(centres)
     east, north = _horizontals(verticals[index])

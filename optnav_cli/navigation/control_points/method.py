@@ -245,7 +245,7 @@ def _light(frame: FrameContext, last: _Pass, k: int) -> acceptance.PointLight:
     aside_nodes = acceptance.acceptance_limits().light.nodes
     margin, room = (int(np.ceil(n * thinning(blur))) for n in (MARGIN_NODES, aside_nodes))
     heights = reference.heights(level, side + 2 * (margin + room))
-    turn = pose.camera_from_body.as_matrix()
+    turn = pose.turn
     pixels = frame.camera.project_from_body(
         reference.surface(level, heights), pose.position_m, turn
     )

@@ -104,7 +104,7 @@ def match_all(
     uncertainty = ground_uncertainty_m(jacobian, covariance, view.metres_per_pixel)
     known = points.finest_postings_m(view.index)
     searched_postings = settings.match.search_sigmas * float(np.median(uncertainty / known))
-    boresight = pose.camera_from_body.as_matrix()[2]
+    boresight = pose.turn[2]
     height_sigma = float(np.sqrt(boresight @ covariance[:3, :3] @ boresight))
     gates = MatchGates(settings.match.min_score, settings.match.rival_ratio, MIN_STRENGTH)
     roll_sigma = float(np.sqrt(covariance[5, 5]))
