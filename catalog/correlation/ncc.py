@@ -213,11 +213,14 @@ def thinned(grid: Float32Array, sigma_nodes: float, even: bool) -> Float32Array:
 
 
 def match_masked(
-    reference: Float32Array, search: Float32Array, margin_nodes: int, image: Filtered
+    reference: Float32Array,
+    search: Float32Array,
+    margin_nodes: int = 0,
+    image: Filtered | None = None,
 ) -> Match:
     """Find a reference (n, n) in a search grid (m, m), m - n even; NaN of either takes no part.
 
-    image  of the search grid, `filtered`
+    image  of the search grid, where it is `filtered` already
     Both are float32 and carry `margin_nodes` that only the high-pass sees. The reference is cut as
     the search grid is about its middle before the high-pass, so that both bend at the same edges.
     """
@@ -225,7 +228,8 @@ def match_masked(
     reference = np.where(np.isfinite(cropped(search, room)), reference, np.float32(np.nan))
     both = reference, search
     has, shows = (np.isfinite(cropped(grid, margin_nodes)).astype(np.float32) for grid in both)
-    surface, common = _surface(filtered(reference, margin_nodes), has, image, shows)
+    template = filtered(reference, margin_nodes)
+    surface, common = _surface(template, has, image or filtered(search, margin_nodes), shows)
     row, col = np.unravel_index(int(np.argmax(surface)), surface.shape)
     return locate_peak(surface, int(common[row, col]))
 

@@ -31,10 +31,10 @@ def quaternion_from_rotation(rotation: Rotation) -> FloatArray:
 def cross_matrix(vectors: ArrayLike) -> FloatArray:
     """Matrices (..., 3, 3) with cross_matrix(a) @ b = a x b."""
     v = np.asarray(vectors, dtype=np.float64)
-    zero = np.zeros(v.shape[:-1])
-    x, y, z = np.moveaxis(v, -1, 0)
-    rows = (zero, -z, y), (z, zero, -x), (-y, x, zero)
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    out = np.zeros((*v.shape, 3))
+    for row, col, axis in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[..., row, col], out[..., col, row] = -v[..., axis], v[..., axis]
+    return out
 
 
 def rnb_axes(position: ArrayLike, forward: ArrayLike) -> FloatArray:

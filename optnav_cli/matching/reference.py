@@ -106,12 +106,17 @@ class Reference:
         )
 
     def _shadows(self, level: int, sun_local: FloatArray) -> ShadowField:
-        """What the coarser levels throw onto a level; kept for the next pass over a frame."""
+        """What the coarser levels throw onto a level; kept for other levels under this Sun."""
         key = level, sun_local.tobytes()
         if key not in self._kept_shadows:
-            grids = [(p.heights_m, p.posting_m) for p in self.patches[level + 1 :]]
-            self._kept_shadows.clear()
-            self._kept_shadows[key] = shadow_field(grids, sun_local, self.projection.radius_m)
+            beyond, grids = None, []
+            if level + 1 < len(self.patches):
+                beyond, next_one = self._shadows(level + 1, sun_local), self.patches[level + 1]
+                grids = [(next_one.heights_m, next_one.posting_m)]
+            else:
+                self._kept_shadows.clear()  # those under another Sun
+            field = shadow_field(grids, sun_local, self.projection.radius_m, beyond)
+            self._kept_shadows[key] = field
         return self._kept_shadows[key]
 
 
