@@ -278,7 +278,7 @@ def _plain(value: Any) -> Any:
 
 
 def _rich(type_: type, value: Any) -> Any:
-    if (get_origin(type_) or type_) is np.ndarray:
+    if type_ is np.ndarray or get_origin(type_) is np.ndarray:
         dtype, shape, data = value
         return np.frombuffer(data, dtype=np.dtype(dtype)).reshape(shape)
     if type_ == Rotation:
