@@ -9,9 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from catalog.control_point import Patch
 from catalog.correlation.ncc import match_ncc
+from catalog.correlation.relief_albedo import steepness_and_crests
 from catalog.correlation.surf64 import match_surf
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose, predict
+from optnav_cli.matching import point_match
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference
@@ -39,14 +41,18 @@ def above(rough_world, reference, roll=0.0):
     return rough_world.pose(100e3, roll=roll, lat=lat, lon=lon)
 
 
-def picture_of(reference, pose, sun, level=0, size=200):
+def picture_of(reference, pose, sun, level=0, size=200, strengths=(0.0, 0.0)):
     """The reference's own terrain as a camera at the pose sees it.
+
+    strengths  of albedo on its slopes and crests
 
     The rendered window is laid under the pixels by the inverse of the camera's geometry, found
     with the surface's own projection: a route that shares nothing with the matcher's resampling.
     """
     rendered = reference.render(level, reference.heights(level, size), sun, pose.position_m)
     posting = reference.patches[level].posting_m
+    steep, crests = steepness_and_crests(reference.heights(level, size), posting)
+    rendered = rendered * np.exp(np.nan_to_num(strengths[0] * steep + strengths[1] * crests))
     rays = CAMERA.unproject(pixel_grid(CAMERA)) @ pose.camera_from_body.as_matrix()
     heights = np.nan_to_num(reference.heights(level, size))
     ground = np.zeros(rays.shape[:2])
@@ -88,6 +94,17 @@ def test_a_shifted_pose_gives_its_shift_back_to_a_tenth_of_a_node(
     assert np.abs(found.offset_m - np.array(shift)).max() < 0.1 * 120.0 + 0.01 * np.hypot(*shift)
     assert found.score > 0.9
     assert np.linalg.eigvalsh(found.covariance_px2).min() > 0.0
+
+
+def test_albedo_that_follows_relief_moves_no_point(rough_world, reference, monkeypatch):
+    """Under a high Sun bright crests would move it away from the Sun by 10 m and more."""
+    truth, high = above(rough_world, reference), rough_world.sun(60.0, 90.0)
+    picture = picture_of(reference, truth, high, strengths=(1.0, -0.5))
+    found = search(reference, picture, truth, high, gates=MatchGates(0.2, 0.9))
+    monkeypatch.setattr(point_match, "PLAIN_SCORE", 0.0)
+    plain = search(reference, picture, truth, high, gates=MatchGates(0.2, 0.9))
+    assert plain.offset_m[0] < -10.0
+    assert abs(found.offset_m[0]) < 0.5 * abs(plain.offset_m[0])
 
 
 def test_the_night_side_is_refused_before_any_search(rough_world, reference, sun):
