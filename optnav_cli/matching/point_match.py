@@ -41,6 +41,8 @@ MARGIN_NODES = 8
 # A match that scores more leaves albedo that follows relief too little room to be told apart: of
 # Apollo 15's frame, with scores of 0.8 to 0.9, residuals would grow from 0.15 to 0.27 px.
 PLAIN_SCORE = 0.8
+# How strong that albedo is was measured at nodes of 948 m; of much finer relief nothing is known.
+MIN_ALBEDO_POSTING_M = 400.0
 
 OUTSIDE = Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame")
 
@@ -136,7 +138,8 @@ def match_point(
         template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
     rendered = template
     template, match = _found(template, window, plan, matcher)
-    if match.score < PLAIN_SCORE and template is rendered and not (blur_nodes or plan.interim):
+    coarse = posting >= MIN_ALBEDO_POSTING_M and not (blur_nodes or plan.interim)
+    if coarse and match.score < PLAIN_SCORE and template is rendered:
         patterns = relief_patterns(around, posting, rendered)
         match = without_relief_albedo(match, template, patterns, window, MARGIN_NODES)
     samples = 0.0
