@@ -30,6 +30,9 @@ RESIDUALS, DISTURBANCES_CSV, SMOOTHED = "residuals.csv", "disturbances.csv", "sm
 Kind = Literal["fix", "between", "prediction"]
 Numbers = tuple[float, ...]
 ROTATION_STEP_S = 0.5
+MAX_VARIANCE = 1e30  # m^2, (m/s)^2 or of a parameter
+ROUNDED = 1e-6  # of a term, as files write it
+NO_COVARIANCE = "its covariance can be none of a state; fit the orbit again"
 
 
 class StoredParameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -154,6 +157,8 @@ def read_orbit(folder: Path) -> StoredOrbit:
         len(state.covariance) != width * (width + 1) // 2
     ):
         raise DataError(f"{folder / ORBIT_TOML}: [state] lacks numbers; fit the orbit again")
+    if not _can_be(matrix_of(state.covariance)):
+        raise DataError(f"{folder / ORBIT_TOML}: [state] {NO_COVARIANCE}")
     rows = rows_of(ORBIT.read(folder / ORBIT_CSV, _row))
     if len(rows.times) == 0 or not (np.diff(rows.times) > 0.0).all():
         raise DataError(f"{folder / ORBIT_CSV}: its times are missing or not in order; fit again")
@@ -195,9 +200,21 @@ def _row(row: CsvRow) -> tuple[float, Kind, FloatArray, FloatArray]:
     state, triangle = row.vector(INERTIAL), row.vector(STATE_COVARIANCE)
     if state is None or triangle is None:
         raise DataError("a state or covariance is empty; fit the orbit again")
+    stated = matrix_of(triangle)
+    if not _can_be(stated):
+        raise DataError(NO_COVARIANCE)
     turn = rnb_turn(state)
-    covariance = turn.T @ matrix_of(triangle) @ turn
+    covariance = turn.T @ stated @ turn
     return utc_to_tdb_s(row["utc"]), kinds[row["kind"]], state, covariance
+
+
+def _can_be(covariance: FloatArray) -> bool:
+    """Whether a matrix may be a covariance: no term above what its two variances allow."""
+    variances = covariance.diagonal()
+    if not (np.abs(covariance).max() < MAX_VARIANCE and (variances >= 0.0).all()):
+        return False
+    most = np.sqrt(np.multiply.outer(variances, variances))
+    return bool((np.abs(covariance) <= (1.0 + ROUNDED) * most).all())
 
 
 def stated_turn(ephemeris: Ephemeris, tdb_s: float) -> FloatArray:

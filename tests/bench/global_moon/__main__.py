@@ -10,6 +10,7 @@ from nothing, after the kernels are compiled; catalogs and work folders of the l
 """
 
 import argparse
+import os
 import sys
 from pathlib import Path
 
@@ -47,6 +48,7 @@ def parse(words: list[str]) -> argparse.Namespace:
 def main(words: list[str]) -> int:
     """Run the parts; 0 also when the bench cannot run here and says why."""
     options = parse(words)
+    os.environ["OPTNAV_BENCH"] = "full"  # of the parts' own processes: each best of several
     folder: Path = options.folder.resolve()
     if folder.is_file():
         print(f"bench-global: {folder}: is a file; name a folder", file=sys.stderr)

@@ -214,6 +214,19 @@ def test_a_folder_that_is_no_orbit_or_is_damaged_is_named(place, tmp_path):
         read_orbit(copy)
 
 
+@pytest.mark.parametrize("number", ["1e308", "-1e9"])
+def test_a_covariance_beyond_its_variances_is_refused(number, place, tmp_path):
+    copy = tmp_path / "orbit"
+    shutil.copytree(place / "orbit", copy)
+    head, *lines = (copy / "orbit.csv").read_text().splitlines()
+    column = head.split(",").index("cov_vr_b_m2_s")
+    cells = lines[2].split(",")
+    lines[2] = ",".join([*cells[:column], number, *cells[column + 1 :]])
+    (copy / "orbit.csv").write_text("\n".join([head, *lines]) + "\n")
+    with pytest.raises(DataError, match=r"orbit.csv, line 4: its covariance can be none"):
+        read_orbit(copy)
+
+
 def test_a_page_shows_sigmas_and_with_a_truth_errors(place, tmp_path):
     copy = tmp_path / "orbit"
     shutil.copytree(place / "orbit", copy)
