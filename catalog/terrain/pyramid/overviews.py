@@ -5,6 +5,7 @@ before anything is built on it.
 """
 
 import math
+import tempfile
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ from catalog.arrays import BoolArray, Float32Array
 from catalog.errors import DataError, OutputError
 from catalog.geometry.kernel import kernel
 from catalog.progress import Progress
-from catalog.rasters import OWN, reopen_raster
+from catalog.rasters import OWN, gdal_reason, reopen_raster
 from catalog.terrain.dem.file import HEIGHTS, Conversion, is_height
 from catalog.terrain.dem.source import DemSettings, DemSource
 
@@ -38,7 +39,7 @@ ROUNDING = 1.0 / 1500.0
 # A source with blocks longer than this and no thicker than 16 rows is copied into tiles first:
 # a square window would decode whole strips.
 MAX_STRIP = 4096
-
+PROBE_BYTES = 1 << 22  # more than a part of a file that did not fit
 WHOLE_BLOCK = 8  # pixels a side of the blocks that are known to be without holes or not
 
 
@@ -193,10 +194,22 @@ def _cascade(
                     outputs[k].write(grid, 1, window=Window(col, row, grid.shape[1], grid.shape[0]))
                 stage.advance()
     except RasterioError as error:
-        raise OutputError(f"{folder}: overviews cannot be written ({error}); free space") from None
+        reason = _why_unwritten(folder, error)
+        raise OutputError(f"{folder}: overviews cannot be written ({reason}); free space") from None
     finally:
         for output in outputs:
             output.close()
+
+
+def _why_unwritten(folder: Path, error: RasterioError) -> str:
+    """What keeps the folder from taking more; GDAL's own words name a line of the file only."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            probe.write(bytes(PROBE_BYTES))
+            probe.flush()
+    except OSError as reason:
+        return reason.strerror or str(reason)
+    return gdal_reason(error)
 
 
 def _in_order(
