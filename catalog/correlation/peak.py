@@ -183,18 +183,27 @@ def refined_by_remainder(
     correlation = _real_transform(_power(of_pair))
     spectrum = _real_transform(correlation * lag_taper(side)) / np.float32(common.sum() * side**2)
     normal, right, scatter = _weighted_sums(of_slopes, of_pair, spectrum)
-    size = np.sqrt(np.diag(normal))
-    if not size.min() > 1e-12 * size.max():
+    inverse = inverse_of_normal(normal)
+    if inverse is None:
         return NO_REMAINDER
-    scaled = normal / np.outer(size, size)
-    if not np.linalg.det(scaled) > 1e-9:
-        return NO_REMAINDER
-    inverse = np.linalg.inv(scaled) / np.outer(size, size)
     gain, *moved = fit[1:] + inverse @ right
     if not gain > 0.0:
         return NO_REMAINDER
     covariance = inverse @ scatter @ inverse / (float(common.sum()) * gain**2)
     return Remainder(-np.array(moved) / gain, covariance[1:, 1:])
+
+
+def inverse_of_normal(normal: FloatArray) -> FloatArray | None:
+    """Inverse (n, n) of normal equations in units of their own; None where unknowns stay open."""
+    size = np.sqrt(np.diag(normal))
+    if not size.min() > 1e-12 * size.max():
+        return None
+    units = np.outer(size, size)
+    scaled = normal / units
+    if not np.linalg.det(scaled) > 1e-9:
+        return None
+    inverse: FloatArray = np.linalg.inv(scaled) / units
+    return inverse
 
 
 def _real_transform(even: Float32Array) -> Float32Array:

@@ -27,6 +27,7 @@ from catalog.correlation.peak import (
     DAMPED_NODES,
     SPECTRUM_FLOOR,
     Match,
+    inverse_of_normal,
     lag_taper,
 )
 
@@ -210,13 +211,9 @@ def _place(
         right[k] += weight * (strength.mean * first[1] - first[1 + k])
         normal[k, k] += weight
         scatter[k, k] += weight
-    size = np.sqrt(np.diag(normal))
-    if not size.min() > 1e-12 * size.max():
+    inverse = inverse_of_normal(normal)
+    if inverse is None:
         return None
-    scaled = normal / np.outer(size, size)
-    if not np.linalg.det(scaled) > 1e-9:
-        return None
-    inverse = np.linalg.inv(scaled) / np.outer(size, size)
     gain, *away = (first[1:] + inverse @ right)[:3]
     if not gain > 0.0:
         return None

@@ -162,14 +162,6 @@ def best_fit(
     return best
 
 
-def _of_sights(error: NoSolutionError) -> NoSolutionError:
-    """The same that says what was fitted."""
-    if "zenith distances" in str(error):
-        return error
-    text = f"the zenith distances fit no one orbit ({error}); see that they are of one flight"
-    return NoSolutionError(text, error.code)
-
-
 def settled(problem: ZenithProblem, at: Trajectory, gate_probability: float) -> ZenithFit:
     """The fit from a trajectory near it, outliers left out, without words.
 

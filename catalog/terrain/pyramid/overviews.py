@@ -105,13 +105,17 @@ def write_levels(
     # down to a side of about SMALLEST, the source's own included
     levels = max(1, 1 + math.floor(math.log2(max(1.0, min(source.shape) / SMALLEST))))
     copied = _is_copied(source)
-    if copied:
-        _copy_into_tiles(source, folder, progress)
     blocks = tuple(-(-side // WHOLE_BLOCK) for side in source.shape)
     statistics = _Statistics(np.ones(blocks, dtype=bool))
-    for first in range(0, max(1, levels - 1), CASCADE):
-        made = min(CASCADE, levels - 1 - first)
-        _cascade(source, folder, first, made, statistics, workers, progress)
+    try:
+        if copied:
+            _copy_into_tiles(source, folder, progress)
+        for first in range(0, max(1, levels - 1), CASCADE):
+            made = min(CASCADE, levels - 1 - first)
+            _cascade(source, folder, first, made, statistics, workers, progress)
+    except RasterioError as error:
+        reason = _why_unwritten(folder, error)
+        raise OutputError(f"{folder}: overviews cannot be written ({reason}); free space") from None
     if statistics.valid == 0:
         raise DataError(f"{source.path}: has no data at all; check `nodata` and the file")
     source.check_heights(statistics.lowest, statistics.highest)
@@ -193,9 +197,6 @@ def _cascade(
                     row, col = window[0] >> (k + 1), window[1] >> (k + 1)
                     outputs[k].write(grid, 1, window=Window(col, row, grid.shape[1], grid.shape[0]))
                 stage.advance()
-    except RasterioError as error:
-        reason = _why_unwritten(folder, error)
-        raise OutputError(f"{folder}: overviews cannot be written ({reason}); free space") from None
     finally:
         for output in outputs:
             output.close()
