@@ -94,7 +94,7 @@ def load_model(path: Path) -> object:
     from catalog.correlation.relief_albedo import ReliefAlbedo
     from catalog.terrain.error_model import TerrainLaws
     from optnav_cli.hazard.model import HazardModel
-    from optnav_cli.measurements.cylinder_sizes import CylinderErrorSizes
+    from optnav_cli.measurements.cylinder import CylinderErrorSizes
     from optnav_cli.measurements.disc.size import DiscErrorSizes
     from optnav_cli.navigation.control_points.acceptance import AcceptanceLimits
     from optnav_cli.navigation.control_points.error_model import PointErrorSizes

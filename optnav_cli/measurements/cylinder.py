@@ -1,4 +1,4 @@
-"""A lit upright cylinder seen from the height of its strip: geometry, and the source's formulas.
+"""A lit upright cylinder seen from the height of its strip: geometry, formulas, sizes of errors.
 
 Source: Ivanov, Ovchinnikov, Trofimov, KIAM preprint 2010-5, section 3; symbols in comments are its.
 The camera is level. Angles are measured about the cylinder's axis: `psi` of a point of the surface
@@ -8,12 +8,23 @@ picture. A bearing is an angle at the camera, from the boresight, positive to th
 
 import math
 from dataclasses import dataclass
+from functools import cache
+from typing import Annotated
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
+from catalog.config import load_toml, resource
 from catalog.errors import NoSolutionError
+
+FILE = "configs/models/cylinder.toml"
+GRAZING_DEG, GRAZING_SPAN_DEG = 90.0, 47.0  # from where on light grazes, and to where sizes are of
+CRESCENT_DEG, CRESCENT_SPAN_DEG = 145.0, 10.0  # from where on a few pixels are lit, and hardly so
+Share = Annotated[float, Meta(ge=0.0, le=0.1)]
+Size = Annotated[float, Meta(ge=0.0, le=100.0)]
 
 
 @dataclass(frozen=True)
@@ -87,3 +98,35 @@ def seed_distance_and_angle(
         )
     limb = math.asin(size.radius_m / (size.radius_m + distance))
     return distance, math.pi - limb - math.acos(cosine)
+
+
+class CylinderErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Sizes of what the model of the fit leaves out; FILE says what each is."""
+
+    theta_deg: Size
+    theta_grazing_deg: Size
+    distance_share: Share
+    distance_grazing_share: Share
+    distance_crescent_share: Share
+    theta_crescent_deg: Size
+
+    def variances(self, theta: float, distance_m: float) -> tuple[float, float]:
+        """Of the distance, m², and of theta, rad², at an angle of the light, rad."""
+        grazing = grazing_of(theta)
+        share = self.distance_share**2 + (self.distance_grazing_share * grazing) ** 2
+        thin = max(math.degrees(abs(theta)) - CRESCENT_DEG, 0.0) / CRESCENT_SPAN_DEG
+        share += (self.distance_crescent_share * thin) ** 2
+        degrees = self.theta_deg**2 + (self.theta_grazing_deg * grazing) ** 2
+        degrees += (self.theta_crescent_deg * thin) ** 2
+        return share * distance_m**2, degrees * math.radians(1.0) ** 2
+
+
+def grazing_of(theta: float) -> float:
+    """How much light grazes what is seen: 0 up to 90 deg, 1 at 137 deg."""
+    return max(math.degrees(abs(theta)) - GRAZING_DEG, 0.0) / GRAZING_SPAN_DEG
+
+
+@cache
+def cylinder_sizes() -> CylinderErrorSizes:
+    """The sizes that ship with optnav. Raises ConfigError for a wrong file."""
+    return load_toml(resource(FILE), CylinderErrorSizes)

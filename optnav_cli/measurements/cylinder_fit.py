@@ -23,10 +23,15 @@ from optnav_cli.estimation.least_squares import (
     inverse_of,
     linearised,
 )
-from optnav_cli.measurements.cylinder import CylinderSize, half_width, psi_of, surface_distance
+from optnav_cli.measurements.cylinder import (
+    CylinderSize,
+    cylinder_sizes,
+    half_width,
+    psi_of,
+    surface_distance,
+)
 from optnav_cli.measurements.cylinder_brightness import LOBES, drawn_columns
 from optnav_cli.measurements.cylinder_profile import CylinderProfile
-from optnav_cli.measurements.cylinder_sizes import cylinder_sizes
 from optnav_cli.reasons import Reason, ReasonCode
 
 # Unknowns: distance m, bearing, theta, logarithms of the blur, px, and of half the width of the
@@ -80,10 +85,11 @@ class CylinderFit:
     """A lit cylinder as a picture shows it.
 
     distance_m  from the camera to the axis;  bearing, theta  rad
-    covariance  (3, 3) of distance, bearing and theta: m and rad, with what is common to pictures
-    noise       (3, 3) the same of the noise of the picture alone
+    covariance  (3, 3) of distance, bearing and theta: m and rad
     misfit      rms of the residuals in units of their errors
     state       (UNKNOWNS,) of the model
+    state_covariance, state_noise  (UNKNOWNS, UNKNOWNS): by the stated errors, with what is common
+                to pictures, and by the noise of the picture alone
     middle_row_px  of the strip in the lit columns
     """
 
@@ -91,9 +97,10 @@ class CylinderFit:
     bearing: float
     theta: float
     covariance: FloatArray
-    noise: FloatArray
     misfit: float
     state: FloatArray
+    state_covariance: FloatArray
+    state_noise: FloatArray
     middle_row_px: float
 
 
@@ -397,13 +404,14 @@ def _checked(
     )
     covariance[0, 0] += beyond_m2
     covariance[2, 2] += beyond
-    gain = brightness.gain(best.covariance)[:3]
+    gain = brightness.gain(best.covariance)
     noise = (gain / model.noise_weights) @ gain.T
     if heights.residuals.size:
-        own = heights.gain(best.covariance)[:3]
+        own = heights.gain(best.covariance)
         noise = noise + (own * profile.height_sigma**2) @ own.T
     distance, bearing, theta = (float(number) for number in best.state[:3])
     middle = 0.5 * sum(profile.rows)
     if profile.heights.size:
         middle = float(np.median(profile.tops + 0.5 * profile.heights))
-    return CylinderFit(distance, bearing, theta, covariance, noise, misfit, best.state, middle)
+    unknowns = best.state, best.covariance, noise
+    return CylinderFit(distance, bearing, theta, covariance, misfit, *unknowns, middle)

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Literal
 
 import cv2
-import msgspec
 import numpy as np
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import Float32Array
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.files import replacing_folder
 from catalog.places import check_apart
@@ -26,6 +25,7 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.tables import CYLINDER
 from optnav_cli.measurements.cylinder import (
+    CRESCENT_DEG,
     CylinderSize,
     half_width,
     lit_edges,
@@ -33,11 +33,7 @@ from optnav_cli.measurements.cylinder import (
 )
 from optnav_cli.measurements.cylinder_fit import CylinderFit, IdealLens, fit_cylinder
 from optnav_cli.measurements.cylinder_profile import measure_profile, seed_extent
-from optnav_cli.measurements.cylinder_sizes import (
-    CRESCENT_DEG,
-    CylinderErrorSizes,
-    cylinder_sizes,
-)
+from optnav_cli.measurements.cylinder_series import series_places, series_velocity
 from optnav_cli.output.cylinder_overlay import cylinder_overlay
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
@@ -56,8 +52,7 @@ MAX_STEP_S = 60.0  # between pictures that a velocity is taken from
 class CylinderRow:
     """A row of cylinder.csv; d m, theta and bearing deg; velocity m/s towards the light, across.
 
-    noise, common  (2, 2) covariances of distance m and theta rad: by the noise of the picture
-                   alone, and by what neighbouring pictures have in common, cloth and lens
+    fit  of a solved row, from which velocities are taken
     """
 
     frame: Frame
@@ -69,8 +64,7 @@ class CylinderRow:
     bearing_deg: float | None = None
     velocity: tuple[float, float, float] | None = None
     reason: str = ""
-    noise: FloatArray | None = None
-    common: FloatArray | None = None
+    fit: CylinderFit | None = None
 
     def cells(self) -> dict[str, object]:
         """The row as the file has it."""
@@ -105,7 +99,7 @@ def cylinder_folder(
                     rows.append(_measured(read, frame, formula, place))
                     bar.advance()
             if formula == "fit":
-                rows = with_velocities(rows, read.settings.radius_m)
+                rows = with_velocities(rows)
             CYLINDER.write(place / CYLINDER_CSV, (row.cells() for row in rows))
             (place / "cylinder.svg").write_text(
                 cylinder_sheet(place, read.settings.radius_m), encoding="utf-8"
@@ -202,8 +196,7 @@ def _row(
         sigma_deg,
         math.degrees(fit.bearing),
         reason=reason,
-        noise=fit.noise[np.ix_([0, 2], [0, 2])],
-        common=(fit.covariance - fit.noise)[np.ix_([0, 2], [0, 2])],
+        fit=fit,
     )
 
 
@@ -252,30 +245,23 @@ def rectified(values: Float32Array, camera: Camera) -> Float32Array:
     return cv2.undistort(values, matrix, np.array(camera.coefficients)).astype(np.float32)
 
 
-def with_velocities(
-    rows: Sequence[CylinderRow], radius_m: float, alike_deg: float | None = None
-) -> list[CylinderRow]:
+def with_velocities(rows: Sequence[CylinderRow]) -> list[CylinderRow]:
     """Rows with velocities by three neighbours in time: a line at their middle, or a parabola.
 
-    The positions are those of the camera about the axis: x towards the light, y where theta grows.
-    Errors that neighbours have in common, of cloth and lens, drop out: the noise of the pictures
-    makes the sigma, and what of cloth and light changes as the light turns.
-
-    alike_deg  as in configs/models/cylinder.toml, whose it is when left out
+    The positions are those of the camera about the axis, with the cloth that fits all pictures: x
+    towards the light, y where theta grows.
     """
-    found, sizes = list(rows), cylinder_sizes()
-    if alike_deg is not None:
-        sizes = msgspec.structs.replace(sizes, alike_deg=alike_deg)
+    found = list(rows)
     usable = [
-        n for n, row in enumerate(rows) if row.noise is not None and row.frame.tdb_s is not None
+        n for n, row in enumerate(rows) if row.fit is not None and row.frame.tdb_s is not None
     ]
     usable.sort(key=lambda n: rows[n].frame.tdb_s or 0.0)
+    places = series_places([fit for n in usable if (fit := rows[n].fit) is not None])
     for k, number in enumerate(usable):
         first = min(max(k - 1, 0), len(usable) - 3)
         if first < 0:
             break
-        three = [rows[n] for n in usable[first : first + 3]]
-        times = np.array([row.frame.tdb_s or 0.0 for row in three])
+        times = np.array([rows[n].frame.tdb_s or 0.0 for n in usable[first : first + 3]])
         times = times - (rows[number].frame.tdb_s or 0.0)
         if np.diff(times).min() <= 0.0:
             text = "no speed: two pictures of three have one time"
@@ -285,45 +271,9 @@ def with_velocities(
             continue
         # the slope of the parabola through three points at the time of the row
         weights = np.linalg.inv(np.vander(times, 3, increasing=True))[1]
-        places, parts = zip(*(_place(row, radius_m) for row in three), strict=True)
-        vx, vy = (float(speed) for speed in weights @ np.array(places))
-        covariance = _velocity_covariance(three, weights, parts, sizes)
-        sigma = math.sqrt(float(np.trace(covariance)) / 2.0)
-        found[number] = replace(rows[number], velocity=(vx, vy, sigma))
+        velocity = series_velocity(places[first : first + 3], weights)
+        found[number] = replace(rows[number], velocity=velocity)
     return found
-
-
-def _velocity_covariance(
-    rows: Sequence[CylinderRow],
-    weights: FloatArray,
-    parts: Sequence[FloatArray],
-    sizes: CylinderErrorSizes,
-) -> FloatArray:
-    """(2, 2) of the sum of rows' positions with weights; parts are their derivatives.
-
-    Errors of cloth and light drop out as far as they are alike.
-    """
-    alike = sizes.likeness(np.radians([row.theta_deg or 0.0 for row in rows]))
-    sigmas = [
-        np.zeros(2) if row.common is None else np.sqrt(np.maximum(np.diag(row.common), 0.0))
-        for row in rows
-    ]
-    total = np.zeros((2, 2))
-    for i, row in enumerate(rows):
-        noise = np.eye(2) if row.noise is None else row.noise
-        total += weights[i] ** 2 * parts[i] @ noise @ parts[i].T
-        for j in range(len(rows)):
-            common = np.diag(alike[i, j] * sigmas[i] * sigmas[j])
-            total += weights[i] * weights[j] * parts[i] @ common @ parts[j].T
-    return total
-
-
-def _place(row: CylinderRow, radius_m: float) -> tuple[FloatArray, FloatArray]:
-    """Position (2,), m, of a solved row and its derivatives (2, 2) by distance and theta."""
-    distance, theta = (row.d_m or 0.0) + radius_m, math.radians(row.theta_deg or 0.0)
-    cosine, sine = math.cos(theta), math.sin(theta)
-    jacobian = np.array([[cosine, -distance * sine], [sine, distance * cosine]])
-    return distance * np.array([cosine, sine]), jacobian
 
 
 def cylinder_lines(rows: Sequence[CylinderRow]) -> list[str]:

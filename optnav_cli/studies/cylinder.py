@@ -6,13 +6,12 @@ configs/models/cylinder.toml are found, on other cloths, another cylinder and ot
 
 import math
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize
 
 from catalog.arrays import FloatArray
 from catalog.config import resource
@@ -20,10 +19,16 @@ from catalog.errors import NoSolutionError
 from catalog.progress import Progress, SilentProgress
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.tables import CYLINDER_TRUTH
-from optnav_cli.measurements.cylinder import CylinderSize, lit_edges, seed_distance_and_angle
+from optnav_cli.measurements.cylinder import (
+    CylinderErrorSizes,
+    CylinderSize,
+    cylinder_sizes,
+    grazing_of,
+    lit_edges,
+    seed_distance_and_angle,
+)
 from optnav_cli.measurements.cylinder_fit import fit_cylinder
 from optnav_cli.measurements.cylinder_profile import measure_profile
-from optnav_cli.measurements.cylinder_sizes import CylinderErrorSizes, cylinder_sizes, grazing_of
 from optnav_cli.runs.cylinder_folder import (
     CylinderRow,
     cylinder_folder,
@@ -49,7 +54,10 @@ BANDS = (
 )
 FITTED_BANDS = 3  # of these, those that sizes are fitted with
 SIZE, FITTED_SIZE = CylinderSize(0.14, 0.15), CylinderSize(0.10, 0.20)
-CIRCLE_PICTURES, FITTED_CIRCLES = 30, 5  # of a circle; cloths whose speeds alike_deg is fitted to
+CIRCLE_PICTURES, CIRCLE_M_S = 30, 0.049  # of a circle
+# Other circles than the shipped one, of cloths that are drawn: angle of the light where they begin,
+# deg, and distance from the axis, m.
+CIRCLES = ((-120.0, 1.0), (10.0, 1.8), (60.0, 2.4))
 AWAY_M, BEARING_DEG = (0.9, 2.5), 2.5  # of the surface; of the axis, to either side
 FORMULA_M, FORMULA_DEG = 1.34, (6, 15, 30, 60, 90, 120)
 SPEED_WITHIN_DEG = 130.0
@@ -61,7 +69,7 @@ ERRORS = columns(
     "kept = within asked [%] .0f; held = within 3σ [%] .0f"
 )
 SPEED = columns(
-    "pictures; speed = speed [mm/s] .0f; rms = error, rms a component [mm/s] .2f; "
+    "circle; pictures; speed = speed [mm/s] .0f; rms = error, rms a component [mm/s] .2f; "
     "largest = largest [mm/s] .2f; asked = asked [mm/s] .0f; sigma = stated [mm/s] .2f; "
     "nees = NEES .2f"
 )
@@ -89,13 +97,19 @@ class Circle:
 
     rows: list[CylinderRow]
     true_m_s: FloatArray
-    radius_m: float
 
-    def speeds(self, alike_deg: float | None = None) -> tuple[FloatArray, FloatArray]:
-        """Errors (m, 2) of velocities, m/s, and their stated sigmas (m,)."""
-        rows = with_velocities(self.rows, self.radius_m, alike_deg)
+    def speeds(self, alone: bool = False) -> tuple[FloatArray, FloatArray]:
+        """Errors (m, 2) of velocities, m/s, and their stated sigmas (m,).
+
+        alone  with the cloth of three pictures each, as if there were no others
+        """
+        rows, true_m_s = self.rows, self.true_m_s
+        if alone:
+            middles = range(1, len(rows) - 1)
+            rows = [with_velocities(rows[k - 1 : k + 2])[1] for k in middles]
+            true_m_s = true_m_s[1:-1]
         errors, sigmas = [], []
-        for row, true in zip(rows, self.true_m_s, strict=True):
+        for row, true in zip(rows, true_m_s, strict=True):
             if row.velocity is None or abs(row.theta_deg or 0.0) > SPEED_WITHIN_DEG:
                 continue
             errors.append(np.array(row.velocity[:2]) - true)
@@ -119,13 +133,14 @@ def run(progress: Progress, trials: int = 40, seed: int = 1, fit: bool = False) 
                 bar.advance()
     table = np.array(found).reshape(-1, PLOTTED)
     if fit:
-        rng = np.random.default_rng([seed, len(bands)])
-        circles = [_circled(progress, _other_cloth(rng), n) for n in range(1, FITTED_CIRCLES + 1)]
-        alike = fitted_alike_deg(circles)
-        sizes = msgspec.structs.replace(fitted_sizes(table), alike_deg=alike)
-        return CylinderFigures(table, lost, trials, [_speed_row(circles, alike)], [], sizes)
-    speed = _speed_row([_circled(progress)])
-    return CylinderFigures(table, lost, trials, [speed], _formula())
+        return CylinderFigures(table, lost, trials, [], [], fitted_sizes(table))
+    shipped = _circled(progress)
+    speed = [_speed_row("shipped", shipped), _speed_row("three pictures alone", shipped, True)]
+    for number, (theta_deg, distance_m) in enumerate(CIRCLES, 1):
+        rng = np.random.default_rng([seed, len(bands), number])
+        flown = _circled(progress, (theta_deg, distance_m, _cloth(rng)), number)
+        speed.append(_speed_row(f"from {theta_deg:.0f} deg at {distance_m:g} m", flown))
+    return CylinderFigures(table, lost, trials, speed, _formula())
 
 
 def _trial(
@@ -196,17 +211,28 @@ def fitted_sizes(trials: FloatArray) -> CylinderErrorSizes:
         theta_grazing_deg=sizes[3],
         distance_crescent_share=present.distance_crescent_share,
         theta_crescent_deg=present.theta_crescent_deg,
-        alike_deg=present.alike_deg,
     )
 
 
-def _circled(progress: Progress, surface: SurfaceSettings | None = None, number: int = 0) -> Circle:
-    """The shipped craft that circles, with its cloth or another one: pictures 2 s apart."""
+def _circled(
+    progress: Progress, other: tuple[float, float, SurfaceSettings] | None = None, number: int = 0
+) -> Circle:
+    """The shipped craft that circles, or another circle and cloth: pictures 2 s apart.
+
+    other  angle of the light at the start, deg, distance, m, and cloth
+    """
     scenario = load_scenario(resource(SCENARIO))
     if not isinstance(scenario, CylinderScenario):
         raise TypeError(f"{SCENARIO} is no scenario of a cylinder")
-    if surface is not None:
-        cylinder = msgspec.structs.replace(scenario.cylinder, surface=surface)
+    if other is not None:
+        theta_deg, distance_m, surface = other
+        cylinder = msgspec.structs.replace(
+            scenario.cylinder,
+            theta_deg=theta_deg,
+            distance_m=distance_m,
+            theta_rate_deg_s=math.degrees(CIRCLE_M_S / distance_m),
+            surface=surface,
+        )
         scenario = msgspec.structs.replace(scenario, cylinder=cylinder, seed=scenario.seed + number)
     with tempfile.TemporaryDirectory() as folder:
         drawn, run_folder = Path(folder) / "pictures", Path(folder) / "run"
@@ -214,32 +240,16 @@ def _circled(progress: Progress, surface: SurfaceSettings | None = None, number:
         rows = cylinder_folder(drawn, run_folder, "fit", progress)
         truths = CYLINDER_TRUTH.rows(drawn / "truth.csv")
     true = [[truth.number(name) or 0.0 for name in ("vx_m_s", "vy_m_s")] for truth in truths]
-    return Circle(rows, np.array(true), scenario.cylinder.radius_m)
+    return Circle(rows, np.array(true))
 
 
-def fitted_alike_deg(circles: Sequence[Circle]) -> float:
-    """The alike_deg under which the errors of speeds of circles are likeliest."""
-
-    def cost(log_alike: float) -> float:
-        total = 0.0
-        for circle in circles:
-            errors, sigmas = circle.speeds(math.exp(log_alike))
-            total += float(np.sum(4.0 * np.log(sigmas) + (errors**2).sum(axis=1) / sigmas**2))
-        return total
-
-    found = minimize_scalar(cost, bounds=(0.0, math.log(90.0)), method="bounded")
-    return math.exp(float(found.x))
-
-
-def _speed_row(circles: Sequence[Circle], alike_deg: float | None = None) -> tuple[Cell, ...]:
+def _speed_row(name: str, circle: Circle, alone: bool = False) -> tuple[Cell, ...]:
     """Errors of speeds by three pictures each."""
-    each = [circle.speeds(alike_deg) for circle in circles]
-    errors = 1e3 * np.concatenate([errors for errors, _ in each])
-    stated = 1e3 * np.concatenate([sigmas for _, sigmas in each])
+    errors, stated = (1e3 * one for one in circle.speeds(alone))
     nees = float(np.mean((errors / stated[:, None]) ** 2))
     largest = float(np.hypot(*errors.T).max())
-    speed = 1e3 * float(np.mean([np.hypot(*circle.true_m_s.T).mean() for circle in circles]))
-    return len(errors), speed, rms(errors.ravel()), largest, 1.0, rms(stated), nees
+    speed = 1e3 * float(np.hypot(*circle.true_m_s.T).mean())
+    return name, len(errors), speed, rms(errors.ravel()), largest, 1.0, rms(stated), nees
 
 
 def _formula() -> list[tuple[Cell, ...]]:
@@ -278,20 +288,20 @@ def report(result: CylinderFigures) -> StudyReport:
     rows = tuple(_row(result, band) for band in bands)
     tables = [StudyTable("Distance and angle of the light", ERRORS, rows)]
     notes = [f"no number: {reason}" for _, reason in result.lost]
-    speed = StudyTable("Speed by three pictures 2 s apart", SPEED, tuple(result.speed))
-    tables.append(speed)
     if result.fitted is not None:
         sizes = msgspec.structs.asdict(result.fitted)
         notes += ["fitted sizes:", *(f"{name} = {size:.2g}" for name, size in sizes.items())]
         return StudyReport(tuple(tables), tuple(notes))
+    tables.append(StudyTable("Speed by three pictures 2 s apart", SPEED, tuple(result.speed)))
     tables.append(
         StudyTable("Formula (6) as printed, seen from 1.34 m", FORMULA, tuple(result.formula))
     )
     notes += [
         "pictures: Lambert's cloth with 5-20 % of gloss (powers 10-40) and 2-5 % of ambient light, "
         "a lamp 4 deg wide and 5 deg high, of which the fit knows nothing; radius 0.14 m, strip "
-        "0.15 m high, 0.9-2.5 m away, 640 x 480 px, SNR 80-100; speed: the scenario "
-        "cylinder_circle, rough cloth",
+        "0.15 m high, 0.9-2.5 m away, 640 x 480 px, SNR 80-100; speed: 30 "
+        "pictures of the scenario cylinder_circle, rough cloth, and of circles about cloths as "
+        "above, with one cloth for all pictures of a folder; alone: folders of three pictures",
         "formula (6) takes a parallel projection: of the full face it makes 31 deg at 1.34 m; "
         "exact widths give no angle where the whole face is lit, up to 6 deg",
     ]

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from catalog.progress import SilentProgress
-from optnav_cli.frames.frames import Frame
-from optnav_cli.measurements.cylinder_sizes import CylinderErrorSizes, cylinder_sizes, grazing_of
-from optnav_cli.runs.cylinder_folder import CylinderRow
+from optnav_cli.measurements.cylinder import CylinderErrorSizes, cylinder_sizes, grazing_of
 from optnav_cli.studies import cylinder
 
 FIGURES = Path(cylinder.__file__).parent / "figures" / "cylinder.json"
@@ -18,7 +16,7 @@ FIGURES = Path(cylinder.__file__).parent / "figures" / "cylinder.json"
 
 def test_few_pictures_are_within_what_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cylinder, "_circled", lambda *_: None)
-    monkeypatch.setattr(cylinder, "_speed_row", lambda *_: (30, 49.0, 0.4, 1.0, 1.0, 0.5, 0.7))
+    monkeypatch.setattr(cylinder, "_speed_row", lambda *_: ("", 30, 49.0, 0.4, 1.0, 1.0, 0.5, 0.7))
     figures = cylinder.run(SilentProgress(), trials=1)
     assert len(figures.trials) + len(figures.lost) == len(cylinder.BANDS)
     for band, _, d_off, _, off, *_ in figures.trials[:3]:
@@ -27,37 +25,6 @@ def test_few_pictures_are_within_what_is_asked(monkeypatch: pytest.MonkeyPatch) 
         assert abs(off) < most_deg
     text = cylinder.report(figures).to_text()
     assert "Formula (6) as printed" in text
-
-
-def test_speeds_are_likeliest_with_the_likeness_that_they_were_drawn_with() -> None:
-    """Angles whose common errors fade over 12 deg of light, seen from a circle."""
-    rng = np.random.default_rng(5)
-    theta = np.arange(-100.0, 100.0, 4.0)
-    likeness = np.exp(-np.abs(theta[:, None] - theta) / 12.0)
-    circles = []
-    for _ in range(12):
-        off = math.radians(0.1) * np.linalg.cholesky(likeness) @ rng.normal(size=len(theta))
-        circles.append(drawn_circle(theta, off))
-    assert cylinder.fitted_alike_deg(circles) == pytest.approx(12.0, rel=0.25)
-
-
-def drawn_circle(theta: np.ndarray, off: np.ndarray) -> cylinder.Circle:
-    """Rows of pictures 2 s apart at 1.2 m from the surface, with errors of the angle, rad."""
-    rows = []
-    for number, (true, error) in enumerate(zip(theta, off, strict=True)):
-        utc = f"2026-01-01T00:{number // 30:02}:{2 * number % 60:02}Z"
-        frame = Frame(f"{number}.png", utc, "lab", tdb_s=2.0 * number)
-        seen = true + math.degrees(error)
-        common = np.diag([0.0, math.radians(0.1) ** 2])
-        rows.append(
-            CylinderRow(
-                frame, "ok", 1.2, 1e-4, seen, 0.1, 0.0, noise=np.zeros((2, 2)), common=common
-            )
-        )
-    rate = math.radians(2.0)
-    angle = np.radians(theta)
-    true_m_s = 1.34 * rate * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-    return cylinder.Circle(rows, true_m_s, 0.14)
 
 
 def test_the_printed_formula_gives_31_degrees_for_the_full_face() -> None:
@@ -75,7 +42,6 @@ def test_sizes_that_errors_were_drawn_with_are_found_again() -> None:
         distance_grazing_share=1e-3,
         distance_crescent_share=0.0,
         theta_crescent_deg=0.0,
-        alike_deg=150.0,
     )
     theta = rng.uniform(5.0, 145.0, 4000)
     grazing = np.array([grazing_of(math.radians(t)) for t in theta])
