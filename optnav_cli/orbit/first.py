@@ -91,7 +91,7 @@ def _score(problem: OrbitProblem, places: FloatArray, one: int, state: FloatArra
     if not near:
         return math.inf
     times = np.array([fixes[k].tdb_s for k in near])
-    states, _ = problem.motion.path(state, start.tdb_s, times)
+    states = problem.motion.path(state, start.tdb_s, times)
     offsets = np.linalg.norm(states[:, :3] - places[near], axis=1)
     sigmas = np.sqrt([np.trace(fixes[k].covariance_m2) for k in near])
     # an orbit through two fixes is wrong by so much more the farther they are apart

@@ -91,7 +91,7 @@ class OrbitSolver:
         self.problem = problem
         self.solve: Callable[[LinearArc], SmoothedArc] = nuisance if model == "nuisance" else smooth
         self.steps = 0
-        self._sigmas: FloatArray | None = None
+        self.sigmas: FloatArray | None = None
 
     def of(self, problem: OrbitProblem) -> "OrbitSolver":
         """The same of a part of the problem."""
@@ -100,7 +100,7 @@ class OrbitSolver:
     def step(self, at: Trajectory, weights: FloatArray) -> tuple[Trajectory, SmoothedArc, float]:
         """The next trajectory, the linear solution, and its longest step in sigmas."""
         try:
-            arc, _ = self.problem.linearise(at, weights, self._sigmas)
+            arc, _ = self.problem.linearise(at, weights, self.sigmas)
         except NoSolutionError as error:
             first, last = _utc(self.problem, 0), _utc(self.problem, -1)
             raise NoSolutionError(
@@ -117,7 +117,7 @@ class OrbitSolver:
         parameters = at.parameters + deltas[-1, 6:]
         sigmas = np.sqrt(np.maximum(np.diagonal(found.covariances, axis1=1, axis2=2), 1e-300))
         sigmas = sigmas[:, :width]
-        self._sigmas = sigmas[0, :6]
+        self.sigmas = sigmas[0, :6]
         size = float(np.max(np.abs(deltas) / sigmas))
         return Trajectory(at.states + deltas[:, :6], parameters), found, size
 
@@ -125,7 +125,7 @@ class OrbitSolver:
         """The trajectory that no step moves. Raises NoSolutionError where there is none."""
         size = math.inf
         for _ in range(MAX_STEPS):
-            fresh, before = self._sigmas is None, size
+            fresh, before = self.sigmas is None, size
             at, found, size = self.step(at, weights)
             # steps near the end shrink by ever smaller shares: the next one is known to be short
             if not fresh and (size < SETTLED or size * size < SETTLED * min(before, NEAR)):
@@ -188,16 +188,24 @@ def _start(problem: OrbitProblem, solver: OrbitSolver) -> tuple[Trajectory, Floa
     weights = np.zeros(len(problem.fixes))
     radian = problem.motion.radian_s(state[:3])
     low = high = node
+    before: OrbitSolver | None = None
     windows = (math.inf,) if problem.priors else WINDOWS_RAD
     for window in windows:
         near = np.flatnonzero(np.abs(times - times[node]) <= window * radian)
+        had = low
         low, high = _lengthen(problem, states, (low, high), (int(near[0]), int(near[-1])))
         part = problem.part(low, high)
         inner = solver if part is problem else solver.of(part)
+        if before is not None and low == had:
+            # else the first state is open by so many sigmas that covariances lose their digits
+            inner.sigmas = before.sigmas
+        before = inner
         here = [k for k, i in enumerate(problem.node_of) if low <= i <= high]
         at = Trajectory(states[low : high + 1], parameters)
         for _ in range(ROBUST_STEPS):
             own = _robust(part, at)
+            if part is problem and own.min() > DOUBTED:
+                break  # none of them is doubted: the fit itself goes on, with all of them
             at, _, size = inner.step(at, own)
             if not np.isfinite(at.states).all():
                 raise NoSolutionError("the fixes fit no orbit of these forces")
@@ -220,9 +228,8 @@ def _lengthen(
         (had[0], range(wanted[0], had[0])),
     ):
         if len(nodes):
-            states[list(nodes)] = problem.motion.path(
-                states[end], float(times[end]), times[list(nodes)]
-            )[0]
+            start = float(times[end])
+            states[list(nodes)] = problem.motion.path(states[end], start, times[list(nodes)])
     return min(had[0], wanted[0]), max(had[1], wanted[1])
 
 
@@ -364,7 +371,7 @@ def densify(fit: OrbitFit, step_s: float) -> OrbitFit:
         inner = list(range(node + 1, nodes[k + 1]))
         if inner:
             start = float(times[k])
-            states[inner] = problem.motion.path(states[node], start, dense.times[inner])[0]
+            states[inner] = problem.motion.path(states[node], start, dense.times[inner])
     solver = OrbitSolver(dense, "white")
     used = np.array([r.used for r in fit.residuals])
     at, found = solver.settle(Trajectory(states, fit.trajectory.parameters), used.astype(float))

@@ -92,16 +92,14 @@ class ArcMotion:
         states, transitions = self._motion.propagate(state, tdb_s, np.array([tdb_s + after_s]))
         return states[0], transitions[0]
 
-    def path(
-        self, state: FloatArray, tdb_s: float, times: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """States (n, 6) at times, and their derivatives (n, 6, 6)."""
-        return self._motion.propagate(state, tdb_s, times)
+    def path(self, state: FloatArray, tdb_s: float, times: FloatArray) -> FloatArray:
+        """States (n, 6) at times."""
+        return self._motion.states(state, tdb_s, times)
 
     def partials(
         self, state: FloatArray, tdb_s: float, times: FloatArray, names: Sequence[str]
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """As `path`, and derivatives (n, 6, p) by force parameters of these names."""
+        """As `path`, derivatives (n, 6, 6), and (n, 6, p) by force parameters of these names."""
         return self._motion.partials(state, tdb_s, times, names)
 
     def radian_s(self, position_m: FloatArray) -> float:
@@ -138,10 +136,9 @@ class ArcMotion:
 
     def _noises(self, states: FloatArray, seconds: float) -> FloatArray:
         """Covariances (n, 6, 6) that the white acceleration adds in a short time from states."""
-        axes = np.stack([rnb_of(state) for state in states])
-        densities = np.stack([self.densities(state[:3]) for state in states])
-        inertial = axes.transpose(0, 2, 1) * densities[:, None] @ axes
-        return np.stack([white(density, seconds) for density in inertial])
+        axes = np.array([rnb_of(state) for state in states])
+        densities = np.array([self.densities(state[:3]) for state in states])
+        return white(axes.transpose(0, 2, 1) * densities[:, None] @ axes, seconds)
 
     def step(
         self,
@@ -165,11 +162,14 @@ class ArcMotion:
 
 
 def white(density: FloatArray, seconds: float) -> FloatArray:
-    """Covariance (6, 6) of white acceleration of a density (3, 3) over a short time, m and m/s."""
+    """Covariances (..., 6, 6), m and m/s, of white acceleration over a short time.
+
+    density  (..., 3, 3)
+    """
     t = abs(seconds)
-    covariance = np.empty((6, 6))
-    covariance[:3, :3], covariance[3:, 3:] = density * (t**3 / 3.0), density * t
-    covariance[:3, 3:] = covariance[3:, :3] = density * (seconds * t / 2.0)
+    covariance = np.empty((*density.shape[:-2], 6, 6))
+    covariance[..., :3, :3], covariance[..., 3:, 3:] = density * (t**3 / 3.0), density * t
+    covariance[..., :3, 3:] = covariance[..., 3:, :3] = density * (seconds * t / 2.0)
     return covariance
 
 

@@ -163,7 +163,7 @@ class OrbitPath:
         for first in range(1, len(looks), LOOKS_AT_ONCE):
             ahead = looks[first : first + LOOKS_AT_ONCE]
             try:
-                states, _ = self._motion.path(state, start, ahead)
+                states = self._motion.path(state, start, ahead)
             except NoSolutionError:  # so deep that it is not followed: which look is the first
                 return self._meeting_by_looks(state, start, ahead)
             for number in np.flatnonzero(np.linalg.norm(states[:, :3], axis=1) < self._widest_m):

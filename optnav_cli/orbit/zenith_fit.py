@@ -218,7 +218,7 @@ def denser(fit: ZenithFit, step_s: float) -> ZenithFit:
     for node in np.unique(last):
         here = last == node
         start = float(before.times[node])
-        states[here] = motion.path(at.states[node], start, problem.times[here])[0]
+        states[here] = motion.path(at.states[node], start, problem.times[here])
     used, solver = fit.looks.used, OrbitSolver(problem, "white")
     dense, found = solver.settle(Trajectory(states, at.parameters), used.astype(np.float64))
     covariances = with_considered(problem, dense, found, used, solver)
@@ -277,8 +277,8 @@ def _start(problem: ZenithProblem, first: tuple[float, FloatArray], most: float)
             (low, range(int(near[0]), low)),
         ):
             if len(nodes):
-                found = motion.path(states[end], float(times[end]), times[list(nodes)])
-                states[list(nodes)] = found[0]
+                start = float(times[end])
+                states[list(nodes)] = motion.path(states[end], start, times[list(nodes)])
         low, high = int(near[0]), int(near[-1])
         part = problem.part(low, high)
         if low == high or (len(part.sights) < MIN_SIGHTS and not part.priors):

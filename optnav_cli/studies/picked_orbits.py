@@ -149,7 +149,7 @@ def _sight(place: FloatArray, level: FloatArray, radius_m: float) -> FloatArray:
 def _path(fit: OrbitFit, times: FloatArray) -> FloatArray:
     """States (n, 6) of a fit, inertial."""
     motion = fit.problem.motion_at(fit.trajectory)
-    found: FloatArray = motion.path(fit.trajectory.states[0], float(fit.problem.times[0]), times)[0]
+    found: FloatArray = motion.path(fit.trajectory.states[0], float(fit.problem.times[0]), times)
     return found
 
 

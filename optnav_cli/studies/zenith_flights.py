@@ -94,7 +94,7 @@ class ZenithFlight:
         for row in np.unique(before):
             here = before == row
             start = float(kept.times[row])
-            found[here] = self._motion.path(kept.states[row], start, times[here])[0]
+            found[here] = self._motion.path(kept.states[row], start, times[here])
         return found
 
     def sessions(self, first: float, revolutions: float, count: int) -> FloatArray:
@@ -200,7 +200,7 @@ def judged(
     start = flight.states(sights.tdb_s[:1])[0]
     off = np.concatenate([START_M * rng.normal(size=3), START_M_S * rng.normal(size=3)])
     problem = zenith_problem(motion, sights, [], parameters, start)
-    nodes = motion.path(start + off, float(sights.tdb_s[0]), problem.times)[0]
+    nodes = motion.path(start + off, float(sights.tdb_s[0]), problem.times)
     fit = settled(problem, Trajectory(nodes, np.zeros(problem.width - 6)), GATE)
     truth = flight.states(fit.problem.times)
     return JudgedFit(fit, fit.trajectory.states - truth, truth)
@@ -211,7 +211,7 @@ def forecast_m(flight: ZenithFlight, one: JudgedFit, to_s: FloatArray) -> FloatA
     fit = one.fit
     motion = fit.problem.motion_at(fit.trajectory)
     start = float(fit.problem.times[-1])
-    found = motion.path(fit.trajectory.states[-1], start, to_s)[0]
+    found = motion.path(fit.trajectory.states[-1], start, to_s)
     off: FloatArray = np.linalg.norm((found - flight.states(to_s))[:, :3], axis=1)
     return off
 

@@ -107,7 +107,7 @@ def test_a_mean_acceleration_is_found_and_predicts():
     times = START_S + np.arange(0.0, 21_601.0, 600.0)
     acting = np.array([0.0, 2e-6, 0.0])
     motion = problem([], noise=MEAN).motion.with_added({"acceleration": acting})
-    states = motion.path(truth(times[:1])[0], times[0], times)[0]
+    states = motion.path(truth(times[:1])[0], times[0], times)
     found = fitted(fixes_of(times, states), ParameterSettings("acceleration"), noise=MEAN)
     sigmas = np.sqrt(np.diag(found.parameter_covariance))
     assert (np.abs(found.trajectory.parameters - acting) < 4.0 * sigmas).all()
@@ -173,7 +173,7 @@ def test_a_thrust_arc_is_flown_and_its_size_found():
         forces = Forces(EPHEMERIS, ForcesSettings(degree=2, thrust=(arc,)))
         found.append(ArcMotion(forces, QUIET))
     flown, stated = found
-    states = flown.path(truth(times[:1])[0], times[0], times)[0]
+    states = flown.path(truth(times[:1])[0], times[0], times)
     fixes = fixes_of(times, states)
     fit = fit_orbit(OrbitProblem(stated, fixes, [], [], MOON.radius_m), "white", 1e-5)
     added = fit.trajectory.parameters

@@ -65,7 +65,7 @@ def write(path, sights):
 def errors_of(fit, flown):
     times, states = flown
     found = fit.problem.motion.path(fit.trajectory.states[0], float(fit.problem.times[0]), times)
-    return np.linalg.norm((found[0] - states)[:, :3], axis=1)
+    return np.linalg.norm((found - states)[:, :3], axis=1)
 
 
 def test_derivatives_of_a_zenith_distance_are_those_of_differences():
@@ -122,7 +122,7 @@ def test_derivatives_of_all_sights_are_those_of_differences(flown):
         ParameterSettings("star_catalog", prior_sigma=1.0),
     ]
     problem = zenith_problem(MOTION, sights, [], parameters, states[0])
-    nodes = MOTION.path(states[0], float(times[0]), problem.times)[0]
+    nodes = MOTION.path(states[0], float(times[0]), problem.times)
     at = Trajectory(nodes, np.zeros(problem.width - 6))
     rows = problem.rows(at)
     steps = np.concatenate([np.full(3, 10.0), np.full(3, 0.01), [1e-3], np.full(8, 1.0)])
@@ -207,7 +207,7 @@ def test_the_command_fits_a_file_and_others_read_the_folder(flown, tmp_path, cap
     times, states = flown
     orbit = read_orbit(tmp_path / "orbit")
     near = int(np.argmin(np.abs(orbit.rows.times - times[50])))
-    there = MOTION.path(states[50], float(times[50]), orbit.rows.times[near : near + 1])[0][0]
+    there = MOTION.path(states[50], float(times[50]), orbit.rows.times[near : near + 1])[0]
     assert np.linalg.norm(orbit.rows.states[near, :3] - there[:3]) < 40.0
     assert run(["report", str(tmp_path / "orbit"), "-o", str(tmp_path / "orbit.html")]) == 0
     page = (tmp_path / "orbit.html").read_text()
