@@ -2,10 +2,11 @@
 
 Source of the stages and their limits: Tuchin, thesis (2010), chapter 2. A craft sinks at a constant
 speed; where its side velocity is off what leads it to the target, an engine mends it. Below the
-altimeter's last height the speed falls with the square root of the height. A filter of place and
-velocity takes the ranges of four beams and, nearer, the velocities along them. The model of the
-ground is wrong alike over a length: each beam has an error of its own, a Gauss-Markov sequence over
-the ground that its foot moves on, with the correlation that feet so far apart have.
+altimeter's last height the speed falls with the square root of the height. A filter takes the
+ranges of four beams and, nearer, the velocities along them. The model of the ground is wrong alike
+over a length: the filter's state is place, velocity and how much higher the ground is at the
+model's vertices below. It begins with what the transfer's ranges say of all of them, and with how
+their errors hang together: what was met from above is met again.
 
 Axes are body-fixed; the pull of the moon, its turning and the planet's tide are compensated by the
 engines as the state that the filter has says: what is left is the pull's change by its error.
@@ -15,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from catalog.arrays import BoolArray, FloatArray
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from optnav_cli.orbit.landing import Site
 from optnav_cli.orbit.landing_navigation import beams_about
-from optnav_cli.orbit.landing_rays import DigitalSurface
+from optnav_cli.orbit.landing_rays import DigitalSurface, GroundHits
 from optnav_cli.orbit.landing_settings import LandingSettings
 
 STEP_S = 1.0
@@ -28,7 +29,8 @@ DEAD_M_S = 0.05  # of a velocity that is not mended
 LAST_M = 20.0  # below this height no side engine is used: dust
 MAX_STEPS = 6000
 BEAMS = 4
-UNKNOWNS = 6 + BEAMS
+LIFT_M = 1000.0
+ROUGH = 0.01  # of the variance of the ground's error: between vertices, and never quite the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +78,19 @@ class VerticalDescent:
         site: Site,
         settings: LandingSettings,
         gm: float,
+        corners: IntArray,
     ) -> None:
+        """corners  (faces, 3) of the model: numbers of the nodes whose heights are found, or -1."""
         self._model, self._truth, self._site = model, truth, site
         self._settings, self._gm = settings, gm
-        axis = -np.array([0.0, 0.0, 1.0])
-        self._beams = beams_about(axis, float(np.radians(settings.beams.off_deg)))
-        apart = self._beams[:, None] - self._beams
-        self._apart = np.linalg.norm(apart, axis=-1) / float(-self._beams[0, 2])
+        self._roll = float(np.radians(settings.beams.roll_deg_s))
+        self._beams = self._turned(0.0)
+        self._corners, self._unknowns = corners, 7 + int(corners.max())
+
+    def _turned(self, seconds: float) -> FloatArray:
+        """The beams (4, 3) so long after the arrival."""
+        off = float(np.radians(self._settings.beams.off_deg))
+        return beams_about(np.array([0.0, 0.0, -1.0]), off, self._roll * seconds)
 
     def fly(
         self,
@@ -91,12 +99,13 @@ class VerticalDescent:
         covariances: FloatArray,
         rng: np.random.Generator,
     ) -> Touchdown:
-        """Bring craft down from states that guesses (n, 6) with covariances (n, 6, 6) know."""
+        """Bring craft down from states (n, 6).
+
+        guesses      (n, 6 + m) of the filter, with the ground's heights over its model at the nodes
+        covariances  (n, 6 + m, 6 + m)
+        """
         count = len(states)
-        self._x, self._xhat = states.copy(), np.hstack([guesses, np.zeros((count, BEAMS))])
-        self._p = np.zeros((count, UNKNOWNS, UNKNOWNS))
-        self._p[:, :6, :6] = covariances
-        self._p[:, 6:, 6:] = self._surface(guesses[:, 2])
+        self._x, self._xhat, self._p = states.copy(), guesses.copy(), covariances.copy()
         self._rng, self._dv = rng, np.zeros(count)
         self._burn(self._wanted(), np.ones(count, bool))
         end: DescentErrors | None = None
@@ -143,19 +152,27 @@ class VerticalDescent:
         stated = np.sqrt(np.stack([variances[:, 2], variances[:, 0] + variances[:, 1]], axis=1))
         return DescentErrors(off[:, 2], lengths[0], off[:, 5], lengths[1], square / 6.0, stated)
 
-    def _surface(self, heights: FloatArray) -> FloatArray:
-        """(n, 4, 4) of the surface's errors under the feet of beams from heights (n,)."""
-        surface = self._settings.surface
-        reach = np.maximum(heights, 1.0)[:, None, None] * self._apart
-        found: FloatArray = surface.near_error_m**2 * np.exp(-reach / surface.error_length_m)
-        # never quite the same: the ground is rough below the length, too
-        found[:, range(BEAMS), range(BEAMS)] += 0.01 * surface.near_error_m**2 + 1e-4
-        return found
+    def _shares(self, hits: GroundHits) -> FloatArray:
+        """(n, m) of the nodes' heights in that of the ground where it is met; zero beside them."""
+        nodes = self._corners[hits.faces]
+        places = self._model.mesh.corners[hits.faces].transpose(0, 2, 1)
+        three = np.linalg.solve(places, hits.points[..., None])[..., 0]
+        three /= three.sum(axis=1, keepdims=True)
+        inside = np.flatnonzero(np.isfinite(hits.range_m) & (nodes >= 0).all(axis=1))
+        shares = np.zeros((len(nodes), self._unknowns - 6))
+        shares[inside[:, None], nodes[inside]] = three[inside]
+        return shares
 
     def _height(self) -> FloatArray:
         """(n,) over the ground below as model and filter have it: it slopes about the target."""
-        over = self._model.height(self._body(self._xhat[:, :3])) - self._xhat[:, 6:].mean(axis=1)
-        return np.where(np.isfinite(over), over, self._xhat[:, 2])
+        up = self._site.up
+        # from above: by the model a craft that is about to touch down may be under the ground
+        above = self._body(self._xhat[:, :3]) + LIFT_M * up
+        below = self._model.cast(above, np.tile(-up, (len(above), 1)))
+        raised = np.einsum("nm,nm->n", self._shares(below), self._xhat[:, 6:])
+        return np.where(
+            np.isfinite(below.range_m), below.range_m - LIFT_M - raised, self._xhat[:, 2]
+        )
 
     def _wanted(self) -> FloatArray:
         """The velocity (n, 3) that leads to the target."""
@@ -200,17 +217,8 @@ class VerticalDescent:
         self._x[:, :3] += np.where(moving, STEP_S * self._x[:, 3:] + 0.5 * STEP_S**2 * pull, 0.0)
         self._x[:, 3:] += np.where(moving, STEP_S * pull, 0.0)
         self._xhat[:, :3] += np.where(moving, STEP_S * self._xhat[:, 3:6], 0.0)
-        phi = np.eye(UNKNOWNS)
-        phi[:3, 3:6] = STEP_S * np.eye(3)
-        # the feet move over the ground as the beams come together and the craft drifts
-        speed = np.abs(self._xhat[:, 5]) * float(np.hypot(*self._beams[0, :2] / self._beams[0, 2]))
-        speed = speed + np.linalg.norm(self._xhat[:, 3:5], axis=1)
-        fade = np.exp(-STEP_S * speed / self._settings.surface.error_length_m)
-        self._xhat[:, 6:] *= fade[:, None]
-        phi = np.broadcast_to(phi, (len(fade), UNKNOWNS, UNKNOWNS)).copy()
-        phi[:, 6:, 6:] *= fade[:, None, None]
-        self._p = phi @ self._p @ phi.transpose(0, 2, 1)
-        self._p[:, 6:, 6:] += (1.0 - fade**2)[:, None, None] * self._surface(self._xhat[:, 2])
+        self._p[:, :3] += STEP_S * self._p[:, 3:6]
+        self._p[:, :, :3] += STEP_S * self._p[:, :, 3:6]
         self._p[:, range(3, 6), range(3, 6)] += 1e-10  # the gradient of the pull, 1e-5 m/s a root s
 
     def _pull(self, places: FloatArray) -> FloatArray:
@@ -221,6 +229,7 @@ class VerticalDescent:
 
     def _measure(self, step: int, flying: BoolArray) -> None:
         beams = self._settings.beams
+        self._beams = self._turned(step * STEP_S)
         height = self._x[:, 2]
         if step % beams.near_every_s == 0:
             # below the altimeter's last height the ranges are the Doppler radar's
@@ -229,12 +238,11 @@ class VerticalDescent:
         if near.any():
             noise = beams.doppler_noise_m_s * self._rng.normal(size=(len(height), BEAMS))
             speeds = self._x[:, 3:] @ self._beams.T + noise
-            h = np.zeros((len(height), BEAMS, UNKNOWNS))
+            h = np.zeros((len(height), BEAMS, self._unknowns))
             h[:, :, 3:6] = self._beams
             residual = speeds - self._xhat[:, 3:6] @ self._beams.T
-            self._update(
-                residual, h, beams.doppler_noise_m_s**2, near[:, None] & np.ones(BEAMS, bool)
-            )
+            variances = np.full(residual.shape, beams.doppler_noise_m_s**2)
+            self._update(residual, h, variances, near[:, None] & np.ones(BEAMS, bool))
 
     def _range(self, which: BoolArray) -> None:
         if not which.any():
@@ -250,27 +258,31 @@ class VerticalDescent:
         good = np.isfinite(measured) & np.isfinite(seen.range_m.reshape(count, BEAMS))
         good &= (slant > 0.2) & which[:, None]
         slant = np.where(slant > 0.2, slant, 1.0)
-        h = np.zeros((count, BEAMS, UNKNOWNS))
+        h = np.zeros((count, BEAMS, self._unknowns))
         h[:, :, :3] = normals / slant[..., None]
         # ground that is higher than its model by b shortens the range by b n'up / slant
-        h[:, range(BEAMS), 6 + np.arange(BEAMS)] = -normals[:, :, 2] / slant
+        shorter = normals[:, :, 2] / slant
+        shares = self._shares(seen).reshape(count, BEAMS, -1)
+        h[:, :, 6:] = -shorter[..., None] * shares
         predicted = seen.range_m.reshape(count, BEAMS) + np.einsum(
             "nkj,nj->nk", h[:, :, 6:], self._xhat[:, 6:]
         )
         residual = np.where(good, measured - predicted, 0.0)
-        self._update(residual, h, self._settings.beams.noise_m**2, good)
+        # beside the nodes the ground is as wrong as it was
+        unknown = np.where(shares.any(axis=2), ROUGH, 1.0)
+        error = unknown * (self._settings.surface.near_error_m * shorter) ** 2
+        self._update(residual, h, self._settings.beams.noise_m**2 + error, good)
 
     def _update(
-        self, residual: FloatArray, h: FloatArray, variance: float, good: BoolArray
+        self, residual: FloatArray, h: FloatArray, variances: FloatArray, good: BoolArray
     ) -> None:
         """Kalman's update of all filters; measurements that are not good change nothing."""
         h = np.where(good[..., None], h, 0.0)
         residual = np.where(good, residual, 0.0)
         gain_base = self._p @ h.transpose(0, 2, 1)
         s = h @ gain_base
-        s[:, range(BEAMS), range(BEAMS)] += variance
+        s[:, range(BEAMS), range(BEAMS)] += variances
         gain = np.linalg.solve(s, gain_base.transpose(0, 2, 1)).transpose(0, 2, 1)
         self._xhat += np.einsum("nij,nj->ni", gain, residual)
-        keep = np.eye(UNKNOWNS) - gain @ h
-        joseph = keep @ self._p @ keep.transpose(0, 2, 1)
-        self._p = joseph + variance * gain @ gain.transpose(0, 2, 1)
+        # symmetric to the last digit, and with noise of metres far from losing any
+        self._p -= gain @ s @ gain.transpose(0, 2, 1)

@@ -60,11 +60,13 @@ class SurfaceError:
         found: FloatArray = self.near_m + (self.sigma_m - self.near_m) * share
         return found
 
-    def correlation(self, points: FloatArray) -> FloatArray:
-        """(n, n) of the height errors at points (n, 3)."""
-        squares = np.einsum("ij,ij->i", points, points)
-        apart = squares[:, None] + squares - 2.0 * points @ points.T
-        found: FloatArray = np.exp(-np.sqrt(np.maximum(apart, 0.0)) / self.length_m)
+    def covariance(self, points: FloatArray, others: FloatArray) -> FloatArray:
+        """(n, m) of what neighbours share of the heights' errors at points (n, 3), (m, 3)."""
+        squares = np.einsum("ij,ij->i", points, points)[:, None]
+        apart = squares + np.einsum("ij,ij->i", others, others) - 2.0 * points @ others.T
+        sizes = np.outer(self.sigma(points), self.sigma(others))
+        shared = (1.0 - ROUGH) * np.exp(-np.sqrt(np.maximum(apart, 0.0)) / self.length_m)
+        found: FloatArray = sizes * shared
         return found
 
 
@@ -110,16 +112,33 @@ class RangeFix:
 
 
 @dataclass(frozen=True, eq=False)
-class _Linearised:
-    """Ranges about a state: residuals (m,), by the state (m, 6), points (m, 3), slants (m,) |g'u|.
+class GroundEstimate:
+    """How much higher than its model the ground is at places, by the ranges of a flight.
 
-    missed  share of the beams of which the state has it wrong whether they meet the ground
+    mean (m,), covariance (m, m), m and m^2;  with_state  (6, m) covariance with the fix's state
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    with_state: FloatArray
+
+    def moved(self, transition: FloatArray) -> "GroundEstimate":
+        """The same with the state at another time, to which a transition (6, 6) leads."""
+        return GroundEstimate(self.mean, self.covariance, transition @ self.with_state)
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """Ranges about a state: residuals (m,), by the state (m, 6), points of the ground (m, 3).
+
+    shorter  (m,) by how much a range is shorter where the ground is 1 m higher
+    missed   share of the beams of which the state has it wrong whether they meet the ground
     """
 
     residuals: FloatArray
     jacobian: FloatArray
     points: FloatArray
-    slant: FloatArray
+    shorter: FloatArray
     missed: float
 
 
@@ -168,6 +187,20 @@ class RangeNavigator:
             f"no state fits the ranges from {RESTARTS + 1} starts: none settles, {left}",
             ReasonCode.NO_SOLUTION,
         )
+
+    def ground(self, ranges: BeamRanges, fix: RangeFix, places: FloatArray) -> GroundEstimate:
+        """What the ranges of a fix say of the ground at places (m, 3) near its model's surface."""
+        before = self._error.covariance(places, places)
+        parts = self._linearised(ranges, fix.state)
+        if parts is None:
+            return GroundEstimate(np.zeros(len(places)), before, np.zeros((6, len(places))))
+        cross = -self._error.covariance(places, parts.points) * parts.shorter
+        gains = _solved(self._covariance(ranges, parts), cross.T).T
+        # the state is estimated from the same ranges: its error is in their residuals
+        by_state = -gains @ parts.jacobian
+        with_state = fix.covariance @ by_state.T
+        covariance = before - gains @ cross.T + by_state @ with_state
+        return GroundEstimate(gains @ parts.residuals, covariance, with_state)
 
     def _from(
         self,
@@ -231,27 +264,35 @@ class RangeNavigator:
         by_place = np.repeat(turns @ transitions[:, :3], beams, axis=0)[good]
         gradient = hits.normals[good] / slant[good, None]
         jacobian = np.einsum("ni,nij->nj", gradient, by_place)
-        missed = float(wrong.sum() / met.sum())
-        return _Linearised(residuals[good], jacobian, hits.points[good], slant[good], missed)
+        missed, points = float(wrong.sum() / met.sum()), hits.points[good]
+        up = points / np.linalg.norm(points, axis=1)[:, None]
+        shorter = np.einsum("ni,ni->n", gradient, up)
+        return _Linearised(residuals[good], jacobian, points, shorter, missed)
 
     def _covariance(self, ranges: BeamRanges, parts: _Linearised) -> FloatArray:
-        """(m, m) of the ranges: noise, and the surface's error over the slant."""
-        points, slant = parts.points, parts.slant
-        size = self._error.sigma(points) / slant
-        found: FloatArray = (1.0 - ROUGH) * self._error.correlation(points) * np.outer(size, size)
-        found[np.diag_indices(len(slant))] += ROUGH * size**2
-        found[np.diag_indices(len(slant))] += ranges.noise_m**2
+        """(m, m) of the ranges: noise, and the surface's error along them."""
+        points, shorter = parts.points, parts.shorter
+        found = self._error.covariance(points, points) * np.outer(shorter, shorter)
+        found[np.diag_indices(len(points))] += ROUGH * (self._error.sigma(points) * shorter) ** 2
+        found[np.diag_indices(len(points))] += ranges.noise_m**2
         return found
 
 
-def beams_about(axis: FloatArray, off_rad: float) -> FloatArray:
-    """Four unit beams (..., 4, 3) at an angle off unit axes (..., 3), square about it."""
+def beams_about(
+    axis: FloatArray, off_rad: float, turned_rad: float | FloatArray = 0.0
+) -> FloatArray:
+    """Four unit beams (..., 4, 3) at an angle off unit axes (..., 3), square about it.
+
+    turned_rad  (...) how far the craft has turned about each axis
+    """
     helper = np.where(np.abs(axis[..., 2:3]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     u = np.cross(axis, helper)
     u /= np.linalg.norm(u, axis=-1, keepdims=True)
     v = np.cross(axis, u)
-    around = np.radians([45.0, 135.0, 225.0, 315.0])
-    sides = np.cos(around)[:, None] * u[..., None, :] + np.sin(around)[:, None] * v[..., None, :]
+    around = np.radians([45.0, 135.0, 225.0, 315.0]) + np.asarray(turned_rad)[..., None]
+    sides = (
+        np.cos(around)[..., None] * u[..., None, :] + np.sin(around)[..., None] * v[..., None, :]
+    )
     found: FloatArray = np.cos(off_rad) * axis[..., None, :] + np.sin(off_rad) * sides
     return found
 

@@ -28,6 +28,7 @@ class GroundHits:
     range_m  (n,) infinite where the ground is not met
     points, normals  (n, 3) of the ground there, body frame
     settled  (n,) whether the iteration found it;  steps  (n,) that it took
+    faces    (n,) of the mesh there, where the ground is met
     """
 
     range_m: FloatArray
@@ -35,6 +36,7 @@ class GroundHits:
     normals: FloatArray
     settled: BoolArray
     steps: IntArray
+    faces: IntArray
 
 
 class DigitalSurface:
@@ -50,16 +52,16 @@ class DigitalSurface:
         """By exact casting against the triangles."""
         faces, distance = self.mesh.first_hits(origins, rays)
         points = origins + np.where(np.isfinite(distance), distance, 0.0)[:, None] * rays
-        none = np.zeros(len(rays), dtype=np.int64)
-        normals = self._normals[np.maximum(faces, 0)]
-        return GroundHits(distance, points, normals, np.zeros(len(rays), bool), none)
+        none, met = np.zeros(len(rays), dtype=np.int64), np.maximum(faces, 0).astype(np.int64)
+        unsettled = np.zeros(len(rays), bool)
+        return GroundHits(distance, points, self._normals[met], unsettled, none, met)
 
     def settle(self, origins: FloatArray, rays: FloatArray) -> GroundHits:
         """By the iteration alone; rays that do not settle have an infinite range."""
         count = len(rays)
         distance = _to_ellipsoid(origins, rays, self.radii)
         settled, steps = np.zeros(count, bool), np.zeros(count, dtype=np.int64)
-        normals = np.zeros((count, 3))
+        met = np.zeros(count, dtype=np.int64)
         open_ = np.isfinite(distance)
         for _ in range(MAX_STEPS):
             which = np.flatnonzero(open_)
@@ -80,13 +82,13 @@ class DigitalSurface:
             new = reach / np.where(flat, 1.0, along)
             done = ~flat & (new >= 0.0) & (np.abs(new - distance[which]) < SETTLED_M)
             distance[which] = np.where(flat, np.inf, new)
-            normals[which] = self._normals[np.maximum(faces, 0)]
+            met[which] = np.maximum(faces, 0)
             settled[which[done]] = True
             open_[which[flat | done]] = False
         distance[~settled] = np.inf
         # of rays that miss the points are their origins: nobody reads them
         points = origins + np.where(settled, distance, 0.0)[:, None] * rays
-        return GroundHits(distance, points, normals, settled, steps)
+        return GroundHits(distance, points, self._normals[met], settled, steps, met)
 
     def ranges(self, origins: FloatArray, rays: FloatArray) -> GroundHits:
         """By the iteration, and by casting where it does not settle or the ray is flat."""
@@ -98,7 +100,7 @@ class DigitalSurface:
         if rest.size:
             cast = self.cast(origins[rest], rays[rest])
             found.range_m[rest], found.points[rest] = cast.range_m, cast.points
-            found.normals[rest] = cast.normals
+            found.normals[rest], found.faces[rest] = cast.normals, cast.faces
         return found
 
     def height(self, places: FloatArray) -> FloatArray:

@@ -42,14 +42,17 @@ class DepartureSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
 class BeamSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """Four beams of the laser altimeter and of the Doppler radar.
 
-    off_deg  of each beam off their axis;  every_s, near_every_s  between ranges of the transfer and
-    of the descent;  from_m  height below which the Doppler measures, to_m  the altimeter's last
+    off_deg  of each beam off their axis;  roll_deg_s  how fast the craft turns about it: the feet
+    of beams that only sink move 2 m/s, so that errors of the ground would not average out
+    every_s, near_every_s  between ranges of the transfer and of the descent
+    from_m  height below which the Doppler measures, to_m  the altimeter's last
     """
 
     off_deg: Annotated[float, msgspec.Meta(ge=0.5, le=45.0)] = 5.0
+    roll_deg_s: Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)] = 0.3
     noise_m: Above = 3.0
-    every_s: Annotated[float, msgspec.Meta(ge=1.0, le=600.0)] = 30.0
-    near_every_s: Annotated[int, msgspec.Meta(ge=1, le=100)] = 5
+    every_s: Annotated[float, msgspec.Meta(ge=1.0, le=600.0)] = 10.0
+    near_every_s: Annotated[int, msgspec.Meta(ge=1, le=100)] = 1
     to_m: Above = 500.0
     doppler_noise_m_s: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.05
     doppler_from_m: Above = 3000.0

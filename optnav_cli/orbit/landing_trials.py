@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from catalog.arrays import FloatArray
+from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.rotation import body_from_inertial
@@ -19,6 +19,7 @@ from optnav_cli.orbit.landing import Departure, Site, check_clear, depart
 from optnav_cli.orbit.landing_descent import Touchdown, VerticalDescent
 from optnav_cli.orbit.landing_navigation import (
     BeamRanges,
+    GroundEstimate,
     RangeFix,
     RangeNavigator,
     SurfaceError,
@@ -32,14 +33,19 @@ from optnav_cli.orbit.qso_settings import motion_of_moon
 
 STEP_S = 60.0
 QSO_DAYS = 1.0
-# Spacings of the surface's errors by their length, and their shares: as the exponential
-# correlation that the navigator takes, to a tenth of the variance.
-SPACINGS, SHARES = (3.0, 1.5, 0.75), (1.0, 0.5, 0.25)
+MARGIN_M = 400.0  # about the feet of the descent's beams: the craft may stand so far aside
+# Spacings of the surface's errors by their length, and their shares of the variance: least squares
+# to the exponential correlation that the navigator takes, within 0.01 of it from 0.1 to 6 lengths.
+SPACINGS, SHARES = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25), (0.071, 0.228, 0.320, 0.181, 0.088, 0.112)
 
 
 @dataclass(frozen=True, eq=False)
 class LandingTask:
-    """What all trials of a landing have in common."""
+    """What all trials of a landing have in common.
+
+    nodes    (m, 3) of the ground, body frame: vertices of the model under the descent
+    corners  (faces, 3) numbers of the nodes that are a face's corners, or -1
+    """
 
     settings: LandingSettings
     motion: MoonMotion
@@ -49,16 +55,22 @@ class LandingTask:
     departure: Departure
     before: FloatArray
     path: FloatArray
+    nodes: FloatArray
+    corners: IntArray
 
 
 @dataclass
 class LandingTrial:
-    """One trial: the transfer's fix at the arrival and where the craft was."""
+    """One trial: the transfer's fix at the arrival and where the craft was.
+
+    ground  at the task's nodes, by the last part of the transfer
+    """
 
     number: int
     reason: str = ""
     state: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
     fix: RangeFix | None = None
+    ground: GroundEstimate | None = None
     arrival: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
     dv_m_s: float = 0.0
@@ -88,7 +100,13 @@ def landing_task(settings: LandingSettings, moon: Body, beside: Path) -> Landing
     aim = site.above(1e3 * section.aim_height_km)
     departure = depart(motion, before, begin, begin + section.transfer_s, aim)
     path = check_clear(motion, departure, model)
-    return LandingTask(settings, motion, shape, model, site, departure, before, path)
+    reach = 1e3 * section.aim_height_km * np.tan(np.radians(settings.beams.off_deg)) + MARGIN_M
+    near = np.linalg.norm(shape.vertices - site.point, axis=1) < reach
+    numbers = np.where(near, np.cumsum(near) - 1, -1)
+    return LandingTask(
+        settings, motion, shape, model, site, departure, before, path,
+        shape.vertices[near], numbers[shape.faces],
+    )  # fmt: skip
 
 
 def _start_state(settings: LandingSettings, motion: MoonMotion, begin: float) -> FloatArray:
@@ -102,15 +120,19 @@ def _start_state(settings: LandingSettings, motion: MoonMotion, begin: float) ->
 
 def wrong_ground(task: LandingTask, seed: int) -> DigitalSurface:
     """The ground whose model the navigator has, with heights that are wrong alike over a length."""
-    length = task.settings.surface.error_length_m
     shape = task.shape
-    amplitudes = np.array(SHARES) / np.linalg.norm(SHARES) / fractal.RMS_NOISE
-    radius = task.motion.moon.radius_m
-    octaves = fractal.Octaves(seed, length * np.array(SPACINGS), amplitudes, radius)
+    length = task.settings.surface.error_length_m
+    octaves = error_octaves(seed, length, task.motion.moon.radius_m)
     up = shape.vertices / np.linalg.norm(shape.vertices, axis=1)[:, None]
     sizes = surface_error(task).sigma(shape.vertices)
     vertices = shape.vertices + (sizes * fractal.noise_at(octaves, up))[:, None] * up
     return DigitalSurface(MeshRays(vertices[shape.faces]), task.motion.moon.radii_m)
+
+
+def error_octaves(seed: int, length_m: float, radius_m: float) -> fractal.Octaves:
+    """Noise of size 1 on a sphere, alike over a length."""
+    amplitudes = np.sqrt(SHARES) / fractal.RMS_NOISE
+    return fractal.Octaves(seed, length_m * np.array(SPACINGS), amplitudes, radius_m)
 
 
 def surface_error(task: LandingTask) -> SurfaceError:
@@ -143,7 +165,8 @@ def measured_ranges(
         for one in states
     )
     axis = -known / np.linalg.norm(known, axis=1)[:, None]
-    rays = beams_about(axis, float(np.radians(beams.off_deg)))
+    turned = np.radians(beams.roll_deg_s * (times - task.departure.tdb_s))
+    rays = beams_about(axis, float(np.radians(beams.off_deg)), turned)
     hits = truth.cast(np.repeat(true, 4, axis=0), rays.reshape(-1, 3)).range_m.reshape(-1, 4)
     noise = beams.noise_m * rng.normal(size=hits.shape)
     return BeamRanges(times, rays, np.where(np.isfinite(hits), hits + noise, np.nan), beams.noise_m)
@@ -193,6 +216,8 @@ def fly_transfer(task: LandingTask, truth: DigitalSurface, number: int) -> Landi
             states, transitions = split(both)
             known, phi = states[1].copy(), transitions[1]
             covariance = phi @ fix.covariance @ phi.T
+            if end == task.departure.arrival_s:
+                trial.ground = navigator.ground(ranges, fix, task.nodes).moved(phi)
             true = motion.propagate(true, times[[0, -1]], STEP_S)[1].copy()
             at = end
             if end < task.departure.arrival_s:
@@ -220,8 +245,15 @@ def fly_descents(task: LandingTask, truth: DigitalSurface, trials: list[LandingT
         np.array([getattr(trial, name) for trial in trials]) @ local.T - origin
         for name in ("state", "arrival")
     )
-    covariances = local @ np.array([trial.covariance for trial in trials]) @ local.T
+    grounds = [trial.ground for trial in trials if trial.ground is not None]
+    known = np.hstack([known, [ground.mean for ground in grounds]])
+    covariances = np.empty((len(trials), known.shape[1], known.shape[1]))
+    covariances[:, :6, :6] = local @ np.array([trial.covariance for trial in trials]) @ local.T
+    covariances[:, :6, 6:] = local @ np.array([ground.with_state for ground in grounds])
+    covariances[:, 6:, :6] = covariances[:, :6, 6:].transpose(0, 2, 1)
+    covariances[:, 6:, 6:] = [ground.covariance for ground in grounds]
     settings = task.settings
-    descent = VerticalDescent(task.model, truth, task.site, settings, motion.pair.moon_gm)
+    gm = motion.pair.moon_gm
+    descent = VerticalDescent(task.model, truth, task.site, settings, gm, task.corners)
     rng = np.random.default_rng([settings.landing.seed, 1 << 40])
     return descent.fly(true, known, covariances, rng)

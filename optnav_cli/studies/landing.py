@@ -86,7 +86,7 @@ def run(progress: Progress, trials: int = 200, fits: int = 40, seed: int = 1) ->
     section = msgspec.structs.replace(shipped.landing, trials=trials, seed=seed)
     settings = msgspec.structs.replace(shipped, landing=section)
     task = landing_task(settings, moon, Path())
-    with progress.stage("study landing", 10, "part") as bar:
+    with progress.stage("study landing", 11, "part") as bar:
         impulse = _impulse_rows(task, seed)
         bar.advance()
         rays = _ray_rows(task.model, seed)
@@ -118,6 +118,7 @@ def _with_surface(
 def _arrival_settings(settings: LandingSettings) -> list[tuple[str, LandingSettings]]:
     near = msgspec.structs.replace(settings.errors, position_km=1.0)
     alike = _with_surface(settings, 20.0, 200.0, 20.0, 3.0)
+    steady = msgspec.structs.replace(alike.beams, roll_deg_s=0.0, every_s=30.0)
     return [
         ("3 km, 1 m/s; none", _with_surface(settings, 1e-3, 200.0, 1e-3, 3.0)),
         (
@@ -130,6 +131,10 @@ def _arrival_settings(settings: LandingSettings) -> list[tuple[str, LandingSetti
             msgspec.structs.replace(alike, errors=near),
         ),
         ("3 km, 1 m/s; 20 m, alike over 1 km", _with_surface(settings, 20.0, 1000.0, 20.0, 3.0)),
+        (
+            "the same over 200 m, beams that do not turn, every 30 s",
+            msgspec.structs.replace(alike, beams=steady),
+        ),
     ]
 
 

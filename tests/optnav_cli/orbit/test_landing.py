@@ -10,6 +10,7 @@ import pytest
 from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import normal_at, surface_at
+from catalog.terrain.synthetic import fractal
 from optnav_cli.orbit.landing import check_clear, depart
 from optnav_cli.orbit.landing_model import OnboardMotion, turning_state
 from optnav_cli.orbit.landing_navigation import (
@@ -22,6 +23,7 @@ from optnav_cli.orbit.landing_settings import LandingSettings, load_landing_sett
 from optnav_cli.orbit.landing_trials import (
     LandingTask,
     burnt,
+    error_octaves,
     fly_descents,
     fly_transfer,
     landing_task,
@@ -125,6 +127,55 @@ def test_four_beams_stand_at_their_angle_about_the_axis() -> None:
     assert beams.sum(axis=1) / 4.0 == pytest.approx(np.cos(0.1) * axis)
 
 
+def test_beams_turn_with_the_craft() -> None:
+    beams = beams_about(np.tile([0.0, 0.6, -0.8], (3, 1)), 0.1, np.radians([0.0, 30.0, 90.0]))
+    assert np.arccos(np.clip((beams[0] * beams[1]).sum(axis=1), -1.0, 1.0)) == pytest.approx(
+        2.0 * np.arcsin(np.sin(0.1) * np.sin(np.radians(15.0)))
+    )
+    assert beams[2] == pytest.approx(np.roll(beams[0], -1, axis=0))
+
+
+def test_drawn_ground_is_wrong_alike_as_the_navigator_takes_it() -> None:
+    """To 0.05 of the exponential: 40 grounds of 1000 points."""
+    length, rng = 200.0, np.random.default_rng(1)
+    found = np.zeros(4)
+    for seed in range(40):
+        up = rng.normal(size=(1000, 3))
+        up /= np.linalg.norm(up, axis=1)[:, None]
+        aside = np.cross(up, rng.normal(size=3))
+        aside /= np.linalg.norm(aside, axis=1)[:, None]
+        octaves = error_octaves(seed, length, PHOBOS.radius_m)
+        here = fractal.noise_at(octaves, up)
+        for k, away in enumerate(np.array([0.0, 0.5, 1.0, 2.0]) * length / PHOBOS.radius_m):
+            there = fractal.noise_at(octaves, np.cos(away) * up + np.sin(away) * aside)
+            found[k] += np.mean(here * there) / 40.0
+    assert found == pytest.approx(np.exp([-0.0, -0.5, -1.0, -2.0]), abs=0.05)
+
+
+def test_ranges_tell_the_ground_with_its_covariance(task: LandingTask) -> None:
+    """What a fix says of the ground at the nodes: errors within their covariance, smaller than
+    before, and less of them where the state is known."""
+    navigator = RangeNavigator(task.motion, task.model, surface_error(task))
+    ranges, true = flown(task, 2)
+    fix = navigator.fit(ranges, task.departure.state, start_covariance(task.settings))
+    ground = navigator.ground(ranges, fix, task.nodes)
+    before = navigator.ground(
+        BeamRanges(ranges.tdb_s, ranges.rays, np.full_like(ranges.range_m, np.nan), 3.0),
+        fix,
+        task.nodes,
+    )
+    assert np.linalg.eigvalsh(ground.covariance).min() > 0.0
+    assert (np.diag(ground.covariance) < np.diag(before.covariance)).all()
+    radii = np.linalg.norm(task.nodes, axis=1)
+    truth = wrong_ground(task, 52).cast(2.0 * task.nodes, -task.nodes / radii[:, None])
+    off = ground.mean - (np.linalg.norm(truth.points, axis=1) - radii)
+    joint = np.block(
+        [[fix.covariance, ground.with_state], [ground.with_state.T, ground.covariance]]
+    )
+    both = np.concatenate([fix.state - true, off])
+    assert 0.5 < both @ np.linalg.solve(joint, both) / len(both) < 2.0
+
+
 def flown(task: LandingTask, number: int) -> tuple[BeamRanges, np.ndarray]:
     rng = np.random.default_rng(number)
     times = task.departure.tdb_s + np.arange(0.0, 1501.0, 60.0)
@@ -161,13 +212,13 @@ def test_ranges_that_nothing_fits_are_refused(task: LandingTask) -> None:
 def test_a_wrong_minimum_that_looks_right_is_refused(task: LandingTask) -> None:
     """Over ground wrong by 20 m over 1 km a start can end in a wrong minimum that looks right.
 
-    One start of this flight ends 140 sigmas off, and its residuals are 0.8 of their expectation:
-    but it does not settle there, nor does any other.
+    Three starts of this flight end 12-17 sigmas off, and their residuals are 0.9-1.1 of their
+    expectation: but they do not settle there, nor does any other.
     """
-    rough, ranges, _ = over_wrong_ground(task, 38, 1000.0)
+    rough, ranges, _ = over_wrong_ground(task, 13, 1000.0)
     navigator = RangeNavigator(task.motion, task.model, surface_error(rough))
     with pytest.raises(NoSolutionError, match="none settles, 0"):
-        navigator.fit(ranges, task.departure.state, start_covariance(SETTINGS), 38)
+        navigator.fit(ranges, task.departure.state, start_covariance(SETTINGS), 13)
 
 
 def test_a_state_that_takes_measuring_beams_past_the_ground_is_wrong(task: LandingTask) -> None:
@@ -185,11 +236,16 @@ def test_a_state_that_takes_measuring_beams_past_the_ground_is_wrong(task: Landi
 def over_wrong_ground(
     task: LandingTask, number: int, length_m: float
 ) -> tuple[LandingTask, BeamRanges, np.ndarray]:
-    """A flight over ground wrong by 20 m, alike over a length, as the study has it with seed 2."""
+    """A flight over ground wrong by 20 m, alike over a length, as the study has it with seed 2.
+
+    Its beams do not turn: they leave the most wrong minima.
+    """
     surface = msgspec.structs.replace(
         SETTINGS.surface, error_m=20.0, error_length_m=length_m, near_error_m=20.0
     )
-    rough = dataclasses.replace(task, settings=msgspec.structs.replace(SETTINGS, surface=surface))
+    beams = msgspec.structs.replace(SETTINGS.beams, roll_deg_s=0.0)
+    settings = msgspec.structs.replace(SETTINGS, surface=surface, beams=beams)
+    rough = dataclasses.replace(task, settings=settings)
     spread, rng = start_covariance(SETTINGS), np.random.default_rng([2, number])
     truth = wrong_ground(rough, 2000 + number)
     true = task.departure.state + np.linalg.cholesky(spread) @ rng.normal(size=6)
