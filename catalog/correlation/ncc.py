@@ -8,6 +8,7 @@ Source: D. Padfield, "Masked object registration in the Fourier domain", IEEE Tr
 21 (2012). A frame that shows a part of a template's ground is compared in that part.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import cv2
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
-from catalog.correlation.peak import Match, locate_peak, refined_by_remainder
+from catalog.correlation.peak import Match, Remainder, locate_peak, refined_by_remainder
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.kernel import kernel
 
@@ -305,9 +306,16 @@ def _by_remainder(
     match: Match, template: Float32Array, patch: Float32Array, both: BoolArray, margin_nodes: int
 ) -> Match:
     """With high-passed grids; the patch and what both have: about the nearest node of the match."""
-    x, y = match.dx - np.rint(match.dx), match.dy - np.rint(match.dy)
-    laid, slopes = moved(template, x, y, margin_nodes)
-    found = refined_by_remainder(laid, slopes, patch, cropped(both, margin_nodes))
+    patterns = laid_patterns(match, template, margin_nodes)
+    compared = cropped(both, margin_nodes)
+    nodes = int(np.count_nonzero(compared))
+    if nodes < compared.size:
+        patterns, patch = patterns * compared, patch * compared
+    return stepped(match, refined_by_remainder(patterns, patch, nodes))
+
+
+def stepped(match: Match, found: Remainder) -> Match:
+    """A match with the place and covariance that its remainder gives."""
     if not np.isfinite(found.covariance).all():
         return match._replace(covariance=found.covariance)
     # a step of more than a node is beyond what slopes can tell
@@ -323,18 +331,22 @@ def laid_at(search: NDArray[Number], reference: NDArray[Any], match: Match) -> N
     return search[row : row + side, col : col + side]
 
 
-def moved(grid: Float32Array, x: float, y: float, margin: int) -> tuple[Float32Array, Float32Array]:
-    """A grid moved by less than two nodes along columns and rows, and its slopes (n, n, 2).
+def laid_patterns(
+    match: Match, template: Float32Array, margin_nodes: int, others: Sequence[Float32Array] = ()
+) -> Float32Array:
+    """Patterns (4 + k, n, n) of `refined_by_remainder`, laid where a template was found.
 
+    template, others  k of them, high-passed, with a margin that is taken off
     By polynomials through six nodes a side: slopes of neighbours' differences would be too small
-    for short waves, which move a place by too much. margin is taken off.
+    for short waves, which move a place by too much.
     """
-    (along, slope), (down, fall) = (_six_nodes(-by) for by in (x, y))
-    parts = [
-        cropped(np.asarray(cv2.sepFilter2D(grid, cv2.CV_32F, *pair), np.float32), margin)
-        for pair in ((along, down), (slope, down), (along, fall))
-    ]
-    return parts[0], np.asarray(cv2.merge(parts[1:]), np.float32)
+    away = np.rint(match.dx) - match.dx, np.rint(match.dy) - match.dy
+    (along, slope), (down, fall) = (_six_nodes(by) for by in away)
+    parts = [(template, (along, down)), (template, (slope, down)), (template, (along, fall))]
+    parts += [(other, (along, down)) for other in others]
+    patterns = [cv2.sepFilter2D(grid, cv2.CV_32F, *weights) for grid, weights in parts]
+    inner = [np.asarray(grid, np.float32) for grid in (np.ones_like(template), *patterns)]
+    return np.stack([cropped(grid, margin_nodes) for grid in inner])
 
 
 def _six_nodes(shift: float) -> tuple[FloatArray, FloatArray]:

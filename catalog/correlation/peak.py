@@ -10,13 +10,15 @@ That is quick and right for noise alone. Relief and albedo that a reference lack
 over many nodes: `refined_by_remainder` takes their spectrum from what the match leaves over.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+import scipy.fft
 
-from catalog.arrays import BoolArray, Float32Array, FloatArray
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
 
 # Nodes of high-passed lunar relief that share one independent brightness error: fitted to the
@@ -140,60 +142,79 @@ class Remainder(NamedTuple):
     covariance: FloatArray
 
 
-_LOADED = np.ones((4, 4)) + 1e-9 * np.eye(4)  # so little that no digit of a place hangs on it
+LOAD = 1e-9  # on the diagonal of normal equations; so little that no digit of a place hangs on it
 NO_REMAINDER = Remainder(np.zeros(2), np.diag([np.inf, np.inf]))
 
 
+class Prior(NamedTuple):
+    """What is known of a pattern without the patch: its strength over the template's gain."""
+
+    pattern: int
+    mean: float
+    sigma: float
+
+
 def refined_by_remainder(
-    template: Float32Array, slopes: Float32Array, patch: Float32Array, common: BoolArray
+    patterns: Float32Array, patch: Float32Array, nodes: int, priors: Sequence[Prior] = ()
 ) -> Remainder:
     """A match's place by generalised least squares, weighted by what the two do not share.
 
-    template, patch (n, n)  both high-passed, the template laid where it was found
-    slopes (n, n, 2)        of the template, t_x and t_y
-    common (n, n)           the nodes that both have
+    patterns (k, n, n)  1, the template laid where it was found, its slopes t_x and t_y, and what
+                        else the patch may show; high-passed, and zero where it is not compared
+    patch (n, n)        as the patterns
+    nodes               how many are compared
+    priors              of the patterns after the slopes
 
-    The patch is fitted as p = a t + b t_x + c t_y + const; its rest is taken for an error of the
-    patch that is correlated as it is. Its spectrum S, from its correlation tapered over LAG_NODES,
-    weights a second fit: wavelengths that the two share count, those that terrain model, albedo or
-    blur spoil do not. The place moves by -(b, c) / a, near the maximum likelihood of a delay
-    (Hannan and Thomson, "Estimating group delay", Biometrika 60, 1973). With N the normal equations
-    of that fit and J the covariance of its right side from the spectrum of the rest as it is, the
-    place has N^-1 J N^-1 / a^2; infinite where a <= 0: the patch does not show the template.
+    The patch is fitted as p = const + a t + b t_x + c t_y + ...; its rest is taken for an error of
+    the patch that is correlated as it is. Its spectrum S, from its correlation tapered over
+    LAG_NODES, weights a second fit: wavelengths that the two share count, those that terrain model,
+    albedo or blur spoil do not. The place moves by -(b, c) / a, near the maximum likelihood of a
+    delay (Hannan and Thomson, "Estimating group delay", Biometrika 60, 1973). With N the normal
+    equations of that fit and J the covariance of its right side from the spectrum of the rest as it
+    is, the place has N^-1 J N^-1 / a^2; infinite where a <= 0: the patch does not show the
+    template.
     """
-    # one kind of array, so that the kernels are compiled once
-    template, patch = np.ascontiguousarray(template), np.ascontiguousarray(patch)
-    slopes = np.ascontiguousarray(slopes)
-    sums = _fit_sums(template, slopes, patch, common)
-    # a template without contrast leaves an unknown open: then there is no gain
-    if not sums.diagonal().min() > 1e-30:
-        return NO_REMAINDER
-    fit: FloatArray = np.linalg.solve(sums[:, :4] * _LOADED, sums[:, 4]).astype(np.float64)
-    if not fit[1] > 0.0:
+    patch = np.ascontiguousarray(patch)  # one kind of array, so that kernels are compiled once
+    first = plain_fit(patterns, patch)
+    if first is None or not first[1] > 0.0:
         return NO_REMAINDER
     # zeros about the grids keep opposite borders apart as far as errors are correlated
-    side = cv2.getOptimalDFTSize(max(template.shape) + CORRELATED_NODES)
-    both, pair = np.zeros((2, side, side, 2), np.float32)
-    _lay_out(template, slopes, patch, common, fit, both, pair)
-    of_slopes, of_pair = (
-        np.asarray(cv2.dft(grid, nonzeroRows=template.shape[0]), np.float32)
-        for grid in (both, pair)
-    )
-    # both are even, so that the transform is its own inverse
-    correlation = _real_transform(_power(of_pair))
-    spectrum = _real_transform(correlation * lag_taper(side)) / np.float32(common.sum() * side**2)
-    normal, right, scatter = _weighted_sums(of_slopes, of_pair, spectrum)
-    inverse = inverse_of_normal(normal)
+    side = cv2.getOptimalDFTSize(patch.shape[0] + CORRELATED_NODES)
+    grids = np.concatenate([patterns[1:], rest_of(patterns, patch, first)[None]])
+    waves = scipy.fft.rfft2(grids, s=(side, side))
+    power = np.square(waves[-1].real) + np.square(waves[-1].imag)
+    correlation = scipy.fft.irfft2(power, s=(side, side)) / np.float32(nodes)
+    spectrum = scipy.fft.rfft2(correlation * _lag_taper(side)).real
+    # the mean over all frequencies is the correlation at no lag; a perfect match leaves nothing
+    floor = SPECTRUM_FLOOR * float(correlation[0, 0]) + 1e-30
+    normal, right, scatter = _weighted_sums(waves.view(np.float32), power, spectrum, floor)
+    scatter /= nodes
+    for pattern, mean, sigma in priors:
+        k, weight = pattern - 1, 1.0 / (sigma * first[1]) ** 2
+        right[k] += weight * (mean * first[1] - first[pattern])
+        normal[k, k] += weight
+        scatter[k, k] += weight
+    inverse = _inverse_of_normal(normal)
     if inverse is None:
         return NO_REMAINDER
-    gain, *moved = fit[1:] + inverse @ right
+    gain, *moved = (first[1:] + inverse @ right)[:3]
     if not gain > 0.0:
         return NO_REMAINDER
-    covariance = inverse @ scatter @ inverse / (float(common.sum()) * gain**2)
-    return Remainder(-np.array(moved) / gain, covariance[1:, 1:])
+    covariance = (inverse @ scatter @ inverse)[1:3, 1:3] / gain**2
+    return Remainder(-np.array(moved) / gain, covariance)
 
 
-def inverse_of_normal(normal: FloatArray) -> FloatArray | None:
+def plain_fit(patterns: Float32Array, patch: Float32Array) -> FloatArray | None:
+    """How strong patterns (k, n, n) are in a patch (n, n), (k,); None where one is nowhere."""
+    sums = _products(np.concatenate([patterns, patch[None]]))
+    normal = sums[:-1, :-1]
+    if not normal.diagonal().min() > 1e-30:
+        return None
+    loaded = normal + np.diag(LOAD * normal.diagonal())
+    return np.linalg.solve(loaded, sums[:-1, -1]).astype(np.float64)
+
+
+def _inverse_of_normal(normal: FloatArray) -> FloatArray | None:
     """Inverse (n, n) of normal equations in units of their own; None where unknowns stay open."""
     size = np.sqrt(np.diag(normal))
     if not size.min() > 1e-12 * size.max():
@@ -206,14 +227,8 @@ def inverse_of_normal(normal: FloatArray) -> FloatArray | None:
     return inverse
 
 
-def _real_transform(even: Float32Array) -> Float32Array:
-    """The transform (n, n) of a grid that is the same at opposite places; real as well."""
-    whole = np.asarray(cv2.dft(even, flags=cv2.DFT_COMPLEX_OUTPUT), np.float32)
-    return np.ascontiguousarray(whole[..., 0])
-
-
 @cache
-def lag_taper(side: int) -> Float32Array:
+def _lag_taper(side: int) -> Float32Array:
     """Weights (side, side) of a correlation by its lags, which wrap."""
     lag = np.minimum(np.arange(side), side - np.arange(side)) / LAG_NODES
     one = np.exp(-0.5 * lag * lag)
@@ -221,128 +236,72 @@ def lag_taper(side: int) -> Float32Array:
 
 
 @kernel
-def _fit_sums(
-    template: Float32Array, slopes: Float32Array, patch: Float32Array, common: BoolArray
-) -> FloatArray:
-    """Normal equations of const, a, b, c and their right side (4, 5)."""
-    rows, cols = template.shape
-    # sums of 1, t, t_x, t_y by themselves and by p; one by one takes a third of the time
-    n = s_t = s_x = s_y = s_p = 0.0
-    tt = tx = ty = tp = xx = xy = xp = yy = yp = 0.0
-    for r in range(rows):
-        for c in range(cols):
-            if not common[r, c]:
-                continue
-            t, p = float(template[r, c]), float(patch[r, c])
-            x, y = float(slopes[r, c, 0]), float(slopes[r, c, 1])
-            n += 1.0
-            s_t += t
-            s_x += x
-            s_y += y
-            s_p += p
-            tt += t * t
-            tx += t * x
-            ty += t * y
-            tp += t * p
-            xx += x * x
-            xy += x * y
-            xp += x * p
-            yy += y * y
-            yp += y * p
-    sums = np.empty((4, 5))
-    sums[0, 0], sums[0, 1], sums[0, 2], sums[0, 3], sums[0, 4] = n, s_t, s_x, s_y, s_p
-    sums[1, 0], sums[1, 1], sums[1, 2], sums[1, 3], sums[1, 4] = s_t, tt, tx, ty, tp
-    sums[2, 0], sums[2, 1], sums[2, 2], sums[2, 3], sums[2, 4] = s_x, tx, xx, xy, xp
-    sums[3, 0], sums[3, 1], sums[3, 2], sums[3, 3], sums[3, 4] = s_y, ty, xy, yy, yp
+def _products(grids: Float32Array) -> FloatArray:
+    """Sums (k, k) over all nodes of the products of grids (k, n, m)."""
+    count, rows, cols = grids.shape
+    sums = np.zeros((count, count))
+    # a sum a column, so that products are not added one after the other
+    columns = np.empty(cols)
+    for a in range(count):
+        for b in range(a, count):
+            columns[:] = 0.0
+            for r in range(rows):
+                for c in range(cols):
+                    columns[c] += float(grids[a, r, c]) * float(grids[b, r, c])
+            sums[a, b] = sums[b, a] = columns.sum()
     return sums
 
 
 @kernel
-def _lay_out(
-    template: Float32Array,
-    slopes: Float32Array,
-    patch: Float32Array,
-    common: BoolArray,
-    fit: FloatArray,
-    both: Float32Array,
-    pair: Float32Array,
-) -> None:
-    """Put slopes, and the template with what const, a, b, c leave over of the patch, into corners.
-
-    both, pair  (m, m, 2) zeros, which stay where not common
-    """
-    rows, cols = template.shape
-    for r in range(rows):
-        for c in range(cols):
-            if common[r, c]:
-                shown = fit[0] + fit[1] * template[r, c]
-                shown += fit[2] * slopes[r, c, 0] + fit[3] * slopes[r, c, 1]
-                pair[r, c, 0], pair[r, c, 1] = template[r, c], patch[r, c] - shown
-                both[r, c, 0], both[r, c, 1] = slopes[r, c, 0], slopes[r, c, 1]
-
-
-@kernel
-def _power(pair: Float32Array) -> Float32Array:
-    """|R|^2 (n, n) of the transform (n, n, 2) of two real grids together, F = T + i R."""
-    side = pair.shape[0]
-    power = np.empty((side, side), np.float32)
-    for i in range(side):
-        m = side - i if i else 0
-        for j in range(side):
-            k = side - j if j else 0
-            # R = (F - G*) / 2i with G = F of the mirror frequency
-            real, imag = pair[i, j, 0] - pair[m, k, 0], pair[i, j, 1] + pair[m, k, 1]
-            power[i, j] = np.float32(0.25) * (real * real + imag * imag)
-    return power
+def rest_of(patterns: Float32Array, patch: Float32Array, strengths: FloatArray) -> Float32Array:
+    """What patterns (k, n, m) of some strengths (k,) leave over of a patch (n, m)."""
+    count, rows, cols = patterns.shape
+    rest = patch.copy()
+    for k in range(count):
+        strength = np.float32(strengths[k])
+        for r in range(rows):
+            for c in range(cols):
+                rest[r, c] -= strength * patterns[k, r, c]
+    return rest
 
 
 @kernel
 def _weighted_sums(
-    slopes: Float32Array, pair: Float32Array, spectrum: Float32Array
+    waves: Float32Array, power: Float32Array, spectrum: Float32Array, floor: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Normal equations (3, 3), (3,) of the rest by template and slopes, over a spectrum.
+    """Normal equations (k, k), (k,) of a rest by patterns, weighted by a spectrum.
 
-    slopes, pair (n, n, 2) transforms of T_x + i T_y and of T + i R
-    Returns also the covariance (3, 3) of the right side, for one node of n.
+    waves (k + 1, n, 2 m)   transforms of the patterns and the rest, real and imaginary in turn
+    power, spectrum (n, m)  of the rest, as it is and smooth; floor is added to the latter
+    Returns also the covariance (k, k) of the right side, for one node compared.
     """
-    side = pair.shape[0]
-    floor = SPECTRUM_FLOOR * spectrum.mean() + 1e-30  # of a perfect match nothing is left over
-    damped = np.empty(side)
+    count, side, cols = waves.shape[0] - 1, spectrum.shape[0], spectrum.shape[1]
+    damped, share = np.empty(side), np.empty((2, cols))
     for i in range(side):
         damping = 2.0 * np.pi * DAMPED_NODES * (min(i, side - i) / side)
         damped[i] = np.exp(-(damping * damping))
-    sums, right = np.zeros((2, 6)), np.zeros(3)
+    row = np.empty((count + 1, 2, cols))
+    sums = np.zeros((count, count + 1, 2, cols))  # a sum a column
     for i in range(side):
-        m = side - i if i else 0
-        for j in range(side):
-            k = side - j if j else 0
+        for j in range(cols):
             weight = damped[i] * damped[j] / (spectrum[i, j] + floor)
-            # F and its mirror G* hold both of two real grids: (F + G*) / 2 and (F - G*) / 2i
-            a, b, c, d = slopes[i, j, 0], slopes[i, j, 1], slopes[m, k, 0], slopes[m, k, 1]
-            x_real, x_imag, y_real, y_imag = a + c, b - d, b + d, c - a
-            a, b, c, d = pair[i, j, 0], pair[i, j, 1], pair[m, k, 0], pair[m, k, 1]
-            t_real, t_imag, r_real, r_imag = a + c, b - d, b + d, c - a
-            right[0] += weight * (t_real * r_real + t_imag * r_imag)
-            right[1] += weight * (x_real * r_real + x_imag * r_imag)
-            right[2] += weight * (y_real * r_real + y_imag * r_imag)
-            tt, tx = t_real * t_real + t_imag * t_imag, t_real * x_real + t_imag * x_imag
-            ty, xx = t_real * y_real + t_imag * y_imag, x_real * x_real + x_imag * x_imag
-            xy, yy = x_real * y_real + x_imag * y_imag, y_real * y_real + y_imag * y_imag
-            noise = 0.25 * weight * weight * (r_real * r_real + r_imag * r_imag)
-            for n, share in ((0, weight), (1, noise)):
-                sums[n, 0] += share * tt
-                sums[n, 1] += share * tx
-                sums[n, 2] += share * ty
-                sums[n, 3] += share * xx
-                sums[n, 4] += share * xy
-                sums[n, 5] += share * yy
-    scale = 0.25 / (side * side)
-    normal, scatter = np.empty((3, 3)), np.empty((3, 3))
-    n = 0
-    for i in range(3):
-        right[i] *= scale
-        for j in range(i, 3):
-            normal[i, j] = normal[j, i] = sums[0, n] * scale
-            scatter[i, j] = scatter[j, i] = sums[1, n] * scale
-            n += 1
+            # the columns stand for those of the other half of the plane too
+            twice = 1.0 if j == 0 or 2 * j == side else 2.0
+            share[0, j], share[1, j] = twice * weight, twice * weight * weight * power[i, j]
+        for k in range(count + 1):
+            for j in range(cols):
+                row[k, 0, j], row[k, 1, j] = waves[k, i, 2 * j], waves[k, i, 2 * j + 1]
+        for a in range(count):
+            for b in range(a, count + 1):
+                for j in range(cols):
+                    both = row[a, 0, j] * row[b, 0, j] + row[a, 1, j] * row[b, 1, j]
+                    sums[a, b, 0, j] += share[0, j] * both
+                    sums[a, b, 1, j] += share[1, j] * both
+    normal, scatter, right = np.empty((count, count)), np.empty((count, count)), np.empty(count)
+    scale = 1.0 / (side * side)
+    for a in range(count):
+        right[a] = sums[a, count, 0].sum() * scale
+        for b in range(a, count):
+            normal[a, b] = normal[b, a] = sums[a, b, 0].sum() * scale
+            scatter[a, b] = scatter[b, a] = sums[a, b, 1].sum() * scale
     return normal, right, scatter

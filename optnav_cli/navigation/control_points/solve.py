@@ -117,6 +117,8 @@ def match_all(
         match.level == level or no_patch
         for match, level, no_patch in zip(matches, first, damaged, strict=True)
     )
+    if not at_finest:  # the pass after this one matches all again
+        return matches, at_finest, searched_postings
     doubtful = [
         k
         for k, match in enumerate(matches)

@@ -284,11 +284,11 @@ def test_the_remainder_follows_the_direction_of_a_streaky_error():
 
 def test_the_remainder_of_a_negative_is_no_match():
     template = cut(texture(6), 64)
-    everywhere = np.ones(template.shape, dtype=bool)
-    slopes = np.stack(np.gradient(template)[::-1], axis=-1)
-    assert np.isinf(refined_by_remainder(template, slopes, -template, everywhere).covariance[0, 0])
-    flat = np.zeros_like(template)
-    assert np.isinf(refined_by_remainder(flat, slopes, template, everywhere).covariance[0, 0])
+    laid = np.stack([np.ones_like(template), template, *np.gradient(template)[::-1]])
+    assert np.isfinite(refined_by_remainder(laid, template, template.size).covariance).all()
+    assert np.isinf(refined_by_remainder(laid, -template, template.size).covariance[0, 0])
+    laid[1] = 0.0
+    assert np.isinf(refined_by_remainder(laid, template, template.size).covariance[0, 0])
 
 
 def test_holes_leave_the_remainder_alone():
