@@ -32,7 +32,7 @@ BRIGHT_SPOTS, MAX_BRIGHT_SPOTS, MAX_TRIPLES, MAX_TRIED = 12, 30, 220, 1500
 SCALE_ERROR = 0.012  # of the focal length, unless the camera file states more
 MAX_SCALE_OFF = 0.02  # beyond which a lens counts as another one than the camera file's
 # Of a failed picture few triples are tried with other lenses, to say what is wrong.
-FEW_TRIPLES, WRONG_FACTORS = 30, (0.95, 1.05, 0.975, 1.025)
+FEW_TRIPLES, WRONG_FACTORS = 30, (0.95, 1.05, 0.975, 1.025, 0.925, 1.075, 0.9, 1.1)
 SPOT_PX = 0.5  # of a spot against its star, for the angles of a triple; distortion is in the lens
 MATCH_PX = 2.5
 MAX_RMS_PX = 0.7  # a coordinate; places that fill a gate of 2.5 px evenly have 1.25

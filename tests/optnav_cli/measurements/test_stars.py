@@ -117,10 +117,11 @@ def test_a_mirrored_picture_is_said_to_be_mirrored():
     assert error.code == ReasonCode.MIRRORED
 
 
-def test_a_focal_length_wrong_by_five_per_cent_is_named():
-    error = refusal(drawn_sky(ORION, CAMERA.with_focal_factor(1.05)))
+@pytest.mark.parametrize("factor", [0.9, 0.935, 1.05, 1.1])
+def test_a_focal_length_wrong_by_up_to_ten_per_cent_is_named(factor):
+    error = refusal(drawn_sky(ORION, CAMERA.with_focal_factor(factor)))
     assert error.code == ReasonCode.WRONG_LENS
-    assert "+5.0 %" in str(error)
+    assert f"{100.0 * (factor - 1.0):+.1f} %" in str(error)
 
 
 def test_trailed_stars_are_named():
