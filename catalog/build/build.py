@@ -147,6 +147,7 @@ class _Build:
             report.dems, self.account.cells = inputs.dems, inputs.cells
         rendered = self._results(inputs, "render", RenderedCell)
         checked = self._results(inputs, "check", ControlPoint)
+        prepared = self._results(inputs, "write", PreparedPoint)
         points: list[ControlPoint] | None = None
         if "render" in wanted:
             with self._stage("render") as stage:
@@ -157,13 +158,18 @@ class _Build:
         if "check" in wanted:
             with self._stage("check") as stage:
                 chosen = self._chosen(inputs)
-                self._run_chunks(checked, check.check_chunk, inputs, chosen, stage)
-                points = self._points(inputs, checked, len(chosen))
+                if "write" in wanted:  # from the patches that are cut for checking
+                    function = check.check_and_prepare_chunk
+                    self._run_chunks(checked, function, inputs, chosen, stage, prepared)
+                else:
+                    self._run_chunks(checked, check.check_chunk, inputs, chosen, stage)
+                points = self._points(inputs, checked)
         if "write" in wanted and output is not None:
             with self._stage("write") as stage:
                 if points is None:
-                    points = self._points(inputs, checked, len(self._chosen(inputs)))
-                self._write(inputs, points, output, report, stage)
+                    self._chosen(inputs)  # refuses, before the checks are missed
+                    points = self._points(inputs, checked)
+                self._write(inputs, points, prepared, output, report, stage)
             if report.usable == 0:
                 judged = self.account
                 reasons = ", ".join(f"{count} {reason}" for reason, count in judged.reasons.items())
@@ -194,9 +200,15 @@ class _Build:
         inputs: BuildInputs,
         chunks: Sequence[Sequence[Any]],
         stage: StageAccount,
+        beside: ChunkResults | None = None,
     ) -> None:
+        if beside is not None:  # first, for they are as large as those that are made
+            self.workspace.keep_only(beside.stage, {beside.key})
         with self.progress.stage(stage.name, sum(map(len, chunks)), "cell") as shown:
-            for _ in results.make(function, inputs.context, chunks, self.workers, stage, shown):
+            made = results.make(
+                function, inputs.context, chunks, self.workers, stage, shown, beside
+            )
+            for _ in made:
                 pass
         self.workspace.keep_only(stage.name, {results.key})
 
@@ -216,18 +228,17 @@ class _Build:
         self.workspace.keep_only("select", {key})
 
     def _chosen(self, inputs: BuildInputs) -> list[list[SelectedCell]]:
-        """Selected records cut as their cells were cut for rendering; empty pieces left out."""
+        """Selected records cut as their cells were cut for rendering; some pieces have none."""
         name = _select_name(inputs.keys["select"])
         records = self.workspace.records(name, SelectedCell)
         if records is None:
             raise self._missing("select")
         by_cell = {record.cell: record for record in records}
-        pieces = ([by_cell[cell] for cell in chunk if cell in by_cell] for chunk in inputs.chunks)
-        return [*filter(None, pieces)]
+        return [[by_cell[cell] for cell in chunk if cell in by_cell] for chunk in inputs.chunks]
 
-    def _points(self, inputs: BuildInputs, checked: ChunkResults, count: int) -> list[ControlPoint]:
-        """The points of so many checked pieces, judged in the account."""
-        records = checked.all_records(count)
+    def _points(self, inputs: BuildInputs, checked: ChunkResults) -> list[ControlPoint]:
+        """The points of all checked pieces, judged in the account."""
+        records = checked.all_records(len(inputs.chunks))
         if records is None:
             raise self._missing("check")
         # a cell at a model's edge may have ground, yet none where its place is: no point there
@@ -240,6 +251,7 @@ class _Build:
         self,
         inputs: BuildInputs,
         points: Sequence[ControlPoint],
+        prepared: ChunkResults,
         output: Path,
         report: BuildReport,
         stage: StageAccount,
@@ -257,19 +269,18 @@ class _Build:
         )
         written = find_published(self.workspace, key, output)
         if written is not None:
-            stage.kept = len(write.point_chunks(inputs.context, points))
+            stage.kept = len(inputs.chunks)
         else:
-            results = self._results(inputs, "write", PreparedPoint)
-            self.workspace.keep_only("write", {results.key})  # first, for they are as large as it
-            prepared = stored_relief(self.workspace, relief) if relief is not None else None
+            self.workspace.keep_only("write", {prepared.key})  # first, for they are as large as it
+            shape = stored_relief(self.workspace, relief) if relief is not None else None
             written = write.write(
                 inputs.context,
-                points,
+                write.point_chunks(inputs.chunks, points),
                 output,
                 extras=CatalogExtras(
-                    inputs.sources(), self.config_text, prepared, inputs.errors, inputs.comparison
+                    inputs.sources(), self.config_text, shape, inputs.errors, inputs.comparison
                 ),
-                results=results,
+                results=prepared,
                 workers=self.workers,
                 progress=self.progress,
                 account=stage,

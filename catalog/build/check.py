@@ -21,7 +21,7 @@ from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.localisation import uniqueness_margin
 from catalog.selection.trial import Outcome
-from catalog.store.records import rounded_point
+from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.terrain.skyline.local import skyline_limits_deg
 
 # Room on every side of the square that uniqueness describes, nodes of its level.
@@ -58,7 +58,7 @@ class Certificate:
         self._known = self._examined()
 
     @cached_property
-    def _patches(self) -> tuple[Patch, ...]:
+    def patches(self) -> tuple[Patch, ...]:
         """Of the place, finest first; cut for places that are looked at."""
         return self._context.patches(self.place.lat_deg, self.place.lon_deg)
 
@@ -72,7 +72,7 @@ class Certificate:
         """Of the trials that are still to be run."""
         return outcomes_at(
             self._context,
-            self._patches,
+            self.patches,
             self.place.lat_deg,
             self.place.lon_deg,
             seed=self._seed,
@@ -86,7 +86,7 @@ class Certificate:
         flags = Flag.NONE
         # of a whole raster no patch has a hole; a mesh may overhang
         if not (context.mosaic.whole and context.mosaic.has_graticules):
-            fine = self._patches[: cell_map.FINE_LEVELS]
+            fine = self.patches[: cell_map.FINE_LEVELS]
             if max(np.isnan(patch.heights_m).mean() for patch in fine) > cell_map.MAX_MISSING:
                 flags |= Flag.NO_DATA
         if not place.localisation_nodes <= settings.max_localisation_nodes:
@@ -98,7 +98,7 @@ class Certificate:
         if flags & self._fatal:
             return flags
         self.shadow_limits_deg = skyline_limits_deg(
-            [(patch.heights_m, patch.posting_m) for patch in (*self._patches, *self._beyond)],
+            [(patch.heights_m, patch.posting_m) for patch in (*self.patches, *self._beyond)],
             0,
             self._projection.radius_m,
         )
@@ -163,7 +163,7 @@ class Certificate:
             self._look_for_rivals()
 
     def _look_for_rivals(self) -> None:
-        self.uniqueness = _uniqueness(self._context, self._projection, self._patches)
+        self.uniqueness = _uniqueness(self._context, self._projection, self.patches)
         if min(self.uniqueness) < self.settings.min_margin:
             self._known |= Flag.NOT_UNIQUE
 
@@ -180,10 +180,25 @@ class Certificate:
 def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[ControlPoint]:
     """The point of each cell with its certificate, and its place in a comparison model."""
     with held_settings():
-        return [compared(context, check_cell(context, record)) for record in records]
+        return [_point(context, check_cell(context, record)) for record in records]
 
 
-def check_cell(context: StageContext, record: SelectedCell) -> ControlPoint:
+def check_and_prepare_chunk(
+    context: StageContext, records: Sequence[SelectedCell]
+) -> tuple[list[ControlPoint], list[PreparedPoint]]:
+    """As `check_chunk`, and the points ready for the file, by id, from the patches at hand."""
+    steps = context.config.write.steps_m(context.postings_m)
+    points, prepared = [], []
+    with held_settings():
+        for record in records:
+            found = check_cell(context, record)
+            points.append(_point(context, found))
+            if math.isfinite(points[-1].radius_m):
+                prepared.append(prepare_point(points[-1], found.patches, steps))
+    return points, sorted(prepared, key=lambda one: one.point.id)
+
+
+def check_cell(context: StageContext, record: SelectedCell) -> Certificate:
     """The first place that passes well; else the one recognised most often, usable or not.
 
     Earlier places win ties: they have the smaller predicted error. A place meets no more trials
@@ -194,14 +209,14 @@ def check_cell(context: StageContext, record: SelectedCell) -> ControlPoint:
         found = Certificate(context, record, place, number)
         found.try_for(best.successes + 1 if best is not None and best.usable else 0)
         if found.passes_well:
-            return _point(context, found)
+            return found
         if best is None or found.merit > best.merit:
             best = found
     if best is None:
         raise ValueError(f"cell {record.cell}: no place to check")
     if not best.usable:
         best.finish()
-    return _point(context, best)
+    return best
 
 
 def shadowed_share(limits_deg: ArrayLike, suns_local: FloatArray) -> float:
@@ -244,6 +259,7 @@ def _uniqueness(
 
 
 def _point(context: StageContext, found: Certificate) -> ControlPoint:
+    """With its certificate, and its place in a comparison model."""
     place, terrain = found.place, context.mosaic
     lat, lon = math.radians(place.lat_deg), math.radians(place.lon_deg)
     height_m = float(np.nan_to_num(terrain.heights(lat, lon, context.posting_m)))
@@ -263,9 +279,7 @@ def _point(context: StageContext, found: Certificate) -> ControlPoint:
         flags=found.flags,
         source=terrain.provenance(projection, context.posting_m, context.size),
     )
-    if not terrain.own_planes:
-        return point
-    # of the place that the catalog will state, about which its patches are cut
-    stated = rounded_point(point)
-    plane = context.projection(stated.lat_deg, stated.lon_deg)
-    return replace(point, vertical_deg=(math.degrees(plane.lat), math.degrees(plane.lon)))
+    if terrain.own_planes:
+        vertical = math.degrees(projection.lat), math.degrees(projection.lon)
+        point = replace(point, vertical_deg=vertical)
+    return compared(context, point)

@@ -3,7 +3,9 @@
     render.render_chunk(context, cells)   -> list[RenderedCell]
     select.select(context, records)       -> list[SelectedCell]    all records, by cell number
     check.check_chunk(context, records)   -> list[ControlPoint]
-    write.prepare_chunk(context, points)  -> list[PreparedPoint]   for `write.write`
+    check.check_and_prepare_chunk         -> both these and list[PreparedPoint]
+    write.prepare_chunk(context, points)  -> list[PreparedPoint]   for `write.write`, where the
+                                             check has left none
 
 Chunk functions run in worker processes and must not depend on which cells share a chunk. Records
 are msgspec.Structs, because they travel and rest as msgpack; numpy arrays in them are annotated

@@ -9,10 +9,11 @@ from catalog.build.cell_map import MAX_MISSING
 from catalog.build.context import StageContext
 from catalog.build.render import RenderedCell
 from catalog.selection.spacing import choose_spaced
+from catalog.store.records import rounded_place
 
 
 class Place(msgspec.Struct, frozen=True):
-    """A candidate that may become a cell's point.
+    """A candidate that may become a cell's point, where the catalog would state it.
 
     localisation_nodes  predicted 1-sigma error: the percentile over Suns, worst over levels, nodes
     """
@@ -72,8 +73,7 @@ def _places(record: RenderedCell, percentile: float, dark: float) -> list[Place]
     worst = np.take_along_axis(errors, ranks[..., None], axis=2)[..., 0].max(axis=1).tolist()
     return [
         Place(
-            lat_deg=candidate.lat_deg,
-            lon_deg=candidate.lon_deg,
+            *rounded_place(candidate.lat_deg, candidate.lon_deg),
             localisation_nodes=error,
             hessian_eigenvalue=candidate.hessian_eigenvalue,
             missing=max(candidate.missing),

@@ -1,9 +1,10 @@
-"""Write: cut the patches of the checked points from the terrain and put all into one file.
+"""Write: put the checked points and their patches into one file.
 
-Cutting and compressing is nearly all of the work: its results rest in the work folder until the
-catalog is in its place, so that a kill loses no more of them than of other stages. The file itself
-is put together anew: a database that is continued after a kill needs a journal, which would cost
-every build more than the copying costs the few that are killed.
+A check that a write follows compresses the patches that it cut: they rest in the work folder until
+the catalog is in its place. Those that are not there are cut here; a kill loses no more of them
+than of other stages. The file itself is put together anew: a database that is continued after a
+kill needs a journal, which would cost every build more than the copying costs the few that are
+killed.
 
 The work folder remembers what a catalog was made from and the seal of its file, a hash of all its
 bytes. A file that is as it was then stays; one that is damaged, or that a GIS wrote to, does not.
@@ -18,11 +19,9 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import msgspec
-import numpy as np
 
 import catalog
 from catalog.build.context import StageContext
-from catalog.build.ingest import chunks_of
 from catalog.control_point import ControlPoint
 from catalog.errors import DataError
 from catalog.files import stored_json
@@ -87,7 +86,7 @@ def _meta(path: Path) -> CatalogMeta | None:
 
 def write(
     context: StageContext,
-    points: Sequence[ControlPoint],
+    chunks: Sequence[Sequence[ControlPoint]],
     output: Path,
     *,
     extras: CatalogExtras,
@@ -98,7 +97,7 @@ def write(
 ) -> Written:
     """Write the catalog file of points in the order of their ids, with their patches.
 
-    points   the chosen point of each cell, usable or not
+    chunks   of the chosen points of all cells, usable or not, see `point_chunks`
     output   the catalog; an older one stays whole until the new one is complete
     extras   what it holds beside them
     results  where prepared points rest until the file is whole
@@ -107,6 +106,7 @@ def write(
     terrain = context.mosaic
     planes = None
     if terrain.in_planes:
+        points = [point for chunk in chunks for point in chunk]
         verticals = {point.id: rounded_vertical(point.vertical_deg) for point in points}
         own = {number: vertical for number, vertical in verticals.items() if vertical is not None}
         planes = PlanesMeta(context.body.radii_m, terrain.posting_m, own)
@@ -126,18 +126,18 @@ def write(
         software=f"optnav {catalog.__version__}",
         created_utc=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
     )
-    chunks = point_chunks(context, points)
-    with progress.stage("write", len(points), "point") as shown:
+    with progress.stage("write", sum(map(len, chunks)), "point") as shown:
         ready = results.make(prepare_chunk, context, chunks, workers, account, shown)
         prepared = _in_order(results, chunks, ready)
         return write_catalog(output, meta, prepared, relief=extras.relief)
 
 
-def point_chunks(context: StageContext, points: Sequence[ControlPoint]) -> list[list[ControlPoint]]:
-    """Pieces of neighbours, as cells are cut: a third less terrain is read than along parallels."""
+def point_chunks(
+    cells: Sequence[Sequence[int]], points: Sequence[ControlPoint]
+) -> list[list[ControlPoint]]:
+    """Points in the pieces of neighbours that their cells were cut into, by id in each."""
     by_id = {point.id: point for point in points}
-    chunks = chunks_of(context.grid, np.array(sorted(by_id)))
-    return [[by_id[cell] for cell in sorted(chunk)] for chunk in chunks]
+    return [[by_id[cell] for cell in sorted(chunk) if cell in by_id] for chunk in cells]
 
 
 def prepare_chunk(context: StageContext, points: Sequence[ControlPoint]) -> list[PreparedPoint]:

@@ -320,27 +320,35 @@ class ChunkResults:
         workers: Workers,
         account: StageAccount,
         shown: Stage,
+        beside: "ChunkResults | None" = None,
     ) -> Generator[int]:
         """Run the chunks that have no result yet; yields each position as its file is there.
 
         function(context, chunk) -> records of `type_`; it must be importable by a worker. First
         come the results of earlier runs, then the others in any order.
+        beside  of another stage, whose records the function makes on its way: it returns both
         """
         missing = [p for p in range(len(chunks)) if not self.workspace.whole(self.name(p))]
         found = sorted(set(range(len(chunks))).difference(missing))
         account.kept = len(found)
         shown.keep(sum(len(chunks[position]) for position in found))
         yield from found
-        work = [(self.name(position), chunks[position]) for position in missing]
+        kinds = (self,) if beside is None else (self, beside)
+        work = [([kind.name(p) for kind in kinds], chunks[p]) for p in missing]
         coordinator = socket.gethostname(), os.getpid()
         make_one = partial(_made, function, self.workspace, coordinator)
         for at, (data, usage) in workers.run(make_one, context, work):
-            if data is not None:
-                self.workspace.put(work[at][0], data)
+            _put(self.workspace, work[at][0], data)
             account.done += 1
             account.add(usage)
             shown.advance(len(work[at][1]))
             yield missing[at]
+
+
+def _put(workspace: Workspace, names: Sequence[str], data: Sequence[bytes]) -> None:
+    """Write the files of a chunk, its own result last: with it the chunk is done."""
+    for name, one in reversed([*zip(names, data)]):
+        workspace.put(name, one)
 
 
 def _made(
@@ -348,24 +356,25 @@ def _made(
     workspace: Workspace,
     coordinator: tuple[str, int],
     context: Any,
-    work: tuple[str, Sequence[Any]],
-) -> tuple[bytes | None, Usage]:
-    """The result of a chunk as bytes, or None if its file is in the workspace already.
+    work: tuple[Sequence[str], Sequence[Any]],
+) -> tuple[list[bytes], Usage]:
+    """The results of a chunk as bytes; none if their files are in the workspace already.
 
-    A worker process of this machine puts the file itself and answers in a few hundred bytes, which
+    A worker process of this machine puts the files itself and answers in a few hundred bytes, which
     a pipe takes whole or not at all. Killed within an answer longer than a page of 4 kB, it would
     leave the coordinator waiting for the rest for ever: other workers hold the same pipe open.
     A worker elsewhere answers with the bytes: its view of the folder may lag, or forbid writing.
     """
-    name, chunk = work
+    names, chunk = work
     parent = multiprocessing.parent_process()
     here = parent is not None and (socket.gethostname(), parent.pid) == coordinator
 
-    def make() -> bytes | None:
-        data = encode_records(function(context, chunk))
+    def make() -> list[bytes]:
+        records = function(context, chunk)
+        data = [encode_records(kind) for kind in (records if len(names) > 1 else [records])]
         if not here:
             return data
-        workspace.put(name, data)
-        return None
+        _put(workspace, names, data)
+        return []
 
     return metered(make)

@@ -70,13 +70,19 @@ def _significant(value: float, digits: int) -> float:
     return float(f"{value:.{digits}g}") + 0.0 if math.isfinite(value) else math.nan
 
 
+def rounded_place(lat_deg: float, lon_deg: float) -> tuple[float, float]:
+    """Latitude and longitude of a point as the catalog keeps them."""
+    lon = _rounded(lon_deg, LATLON_DECIMALS)
+    return _rounded(lat_deg, LATLON_DECIMALS), lon - 360.0 if lon >= 180.0 else lon
+
+
 def rounded_point(point: ControlPoint) -> ControlPoint:
     """A point with all numbers as the catalog keeps them."""
-    lon = _rounded(point.lon_deg, LATLON_DECIMALS)
+    lat, lon = rounded_place(point.lat_deg, point.lon_deg)
     return ControlPoint(
         id=int(point.id),
-        lat_deg=_rounded(point.lat_deg, LATLON_DECIMALS),
-        lon_deg=lon - 360.0 if lon >= 180.0 else lon,
+        lat_deg=lat,
+        lon_deg=lon,
         radius_m=_rounded(point.radius_m, RADIUS_DECIMALS),
         localisation_nodes=_rounded(point.localisation_nodes, SCORE_DECIMALS),
         hessian_eigenvalue=_significant(point.hessian_eigenvalue, EIGENVALUE_DIGITS),

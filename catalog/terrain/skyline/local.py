@@ -3,9 +3,9 @@
 Of every vertical plane through the patch two profiles are taken: the ground inside the patch, and
 the ground outside towards the azimuth, from the coarser grids about the same centre, each from
 where the finer one ends. The limit of the plane is the steepest line from a point inside to a point
-outside. It is raised from plane to plane: most planes hold no steeper one, which one test of each
-of their points shows, and ground that is too low for it is skipped. Heights are those
-over the centre's tangent plane: curvature is in.
+outside. It is raised from plane to plane: most planes hold no steeper one, and ground whose highest
+nodes about a few points are too low for it is skipped. Heights are those over the centre's tangent
+plane: curvature is in.
 Coarse grids hold area means: a peak narrower than their posting is lowered. The planes stand three
 nodes apart, the bins are sampled every 5 deg: on steep ground across the border of the patch the
 limit is up to 0.5 deg low (measured on Tycho's wall).
@@ -25,6 +25,7 @@ AZIMUTHS = 36
 PER_BIN = 2
 LINE_SPACING_NODES = 3.0  # between planes, nodes of the patch
 INNER_STEP_NODES = 2.0  # between points of the inside profile
+GROUP = 8  # points outside that are looked at together; also nodes a side of a block of `tops`
 
 
 class Plane(NamedTuple):
@@ -33,6 +34,20 @@ class Plane(NamedTuple):
     across: float
     east: float
     north: float
+
+
+class SkylineGrids(NamedTuple):
+    """Grids (levels, n, n) of heights over the tangent plane, the patch's own first.
+
+    tops         see `_tops`
+    max_heights  (levels,) of the grids
+    postings     (levels,) m
+    """
+
+    grids: Float32Array
+    tops: Float32Array
+    max_heights: Float32Array
+    postings: FloatArray
 
 
 @kernel
@@ -159,62 +174,97 @@ def _known_profile(
     return count
 
 
+@kernel
+def _tops(grids: Float32Array) -> Float32Array:
+    """Highest of the nodes that a group's points read, by the block under the group's middle.
+
+    grids (levels, n, n); -inf where no node has a height. A group's points lie within half a group
+    of its middle, and are read from nodes less than one further.
+    """
+    levels, size = grids.shape[0], grids.shape[1]
+    blocks, reach = (size + GROUP - 1) // GROUP, GROUP // 2 + 1
+    out = np.empty((levels, blocks, blocks), np.float32)
+    line = np.empty(size, np.float32)
+    for level in range(levels):
+        for i in range(blocks):
+            line[:] = -np.inf
+            for row in range(max(i * GROUP - reach, 0), min((i + 1) * GROUP + reach, size)):
+                here = grids[level, row]
+                # a plain comparison, which a hole fails: compiled to vector instructions
+                for c in range(size):
+                    line[c] = here[c] if here[c] > line[c] else line[c]
+            for j in range(blocks):
+                top = np.float32(-np.inf)
+                for c in range(max(j * GROUP - reach, 0), min((j + 1) * GROUP + reach, size)):
+                    top = line[c] if line[c] > top else top
+                out[level, i, j] = top
+    return out
+
+
+@bare_kernel
+def _last_inside(x: float, step: float, top: float) -> float:
+    """The greatest k for which x + k step, with x inside, lies within 0 and top."""
+    if abs(step) < 1e-12:
+        return 1e9
+    return (top - x) / step if step > 0.0 else -x / step
+
+
 @bare_kernel
 def _steepest_outside(
-    grids: Float32Array,
-    max_heights: FloatArray,
-    postings: FloatArray,
+    ground: SkylineGrids,
     plane: Plane,
+    end: float,
     inside: tuple[FloatArray, FloatArray, int],
     outside: tuple[FloatArray, FloatArray],
     slope: float,
 ) -> float:
     """Greatest slope in one plane from the points inside up to ground outside, or `slope` (>= 0).
 
+    end      way to the last point of the patch, m
     inside   ways, heights and number of the points of the patch; outside: room for those of a grid
     """
-    size = grids.shape[1]
+    size, blocks = ground.grids.shape[1], np.uint64(ground.tops.shape[1] - 1)
+    across, east, north = plane
+    middle = (size - 1) / 2.0
     near_s, near_z, near = inside
     far_s, far_z = outside
     foot = _lowest(near_s, near_z, near, slope)
-    step = INNER_STEP_NODES * postings[0]
-    end = step * _crossing(size, postings[0], step, plane)[5]
-    for level in range(1, grids.shape[0]):
-        step = postings[level]
-        col, row, d_col, d_row, first, last = _crossing(size, step, step, plane)
-        # from the first step beyond the finer grid
+    under = near_z[foot] - slope * near_s[foot]
+    for level in range(1, ground.grids.shape[0]):
+        step = ground.postings[level]
+        col, row = middle + across * north / step, middle + across * east / step
+        # from the first step beyond the finer grid, which lies inside of this one
         # 1e-9: a point that both grids share must not, by rounding, be its own horizon
-        first = max(first, int(np.floor(end / step + 1e-9)) + 1)
+        first = int(np.floor(end / step + 1e-9)) + 1
+        reach = min(_last_inside(col, east, size - 1.0), _last_inside(row, -north, size - 1.0))
+        last = int(np.floor(reach - 1e-9))
         end = max(end, last * step)
         # where even the grid's top stays under a line of that slope, there is nothing to look for
-        room = max_heights[level] - (near_z[foot] - slope * near_s[foot])
-        if room <= slope * first * step:
+        if not ground.max_heights[level] - under > slope * first * step:
             continue
-        if slope > 0.0:
-            last = min(last, int(min(room / (slope * step), 1e6)))
-        far = _known_profile(
-            grids[level], (col, row, d_col, d_row), step, first, last, far_s, far_z
-        )
-        slope, foot = _steeper(near_s, near_z, near, far_s, far_z, far, slope, foot)
+        for begin in range(first, last + 1, GROUP):
+            # the last group's middle may lie outside
+            half = begin + 0.5 * (GROUP - 1)
+            i = min(np.uint64(max(row - half * north, 0.0)) // np.uint64(GROUP), blocks)
+            j = min(np.uint64(max(col + half * east, 0.0)) // np.uint64(GROUP), blocks)
+            if not ground.tops[level, i, j] - under > slope * begin * step:
+                continue
+            stop, crossing = min(begin + GROUP - 1, last), (col, row, east, -north)
+            far = _known_profile(ground.grids[level], crossing, step, begin, stop, far_s, far_z)
+            slope, foot = _steeper(near_s, near_z, near, far_s, far_z, far, slope, foot)
+            under = near_z[foot] - slope * near_s[foot]
     return slope
 
 
 @bare_kernel
 def _limits_along(
-    grids: Float32Array,
-    max_heights: FloatArray,
-    postings: FloatArray,
-    east: float,
-    north: float,
-    room: FloatArray,
+    ground: SkylineGrids, east: float, north: float, room: FloatArray
 ) -> tuple[float, float]:
     """Tangents of the greatest elevation of outside ground towards (east, north) and away from it.
 
-    grids (levels, n, n) heights over the tangent plane, the patch's own first; max_heights
-    (levels,) their maxima; postings (levels,); room (4, 2 n) to work in. Zero where nothing stands
-    above the horizontal.
+    room (4, 2 n) to work in. Zero where nothing stands above the horizontal.
     """
-    size, posting = grids.shape[1], postings[0]
+    size, posting = ground.grids.shape[1], ground.postings[0]
     corner = (size - 1) / 2.0 * posting * (abs(east) + abs(north))
     spacing, step = LINE_SPACING_NODES * posting, INNER_STEP_NODES * posting
     near_s, near_z = room[0], room[1]
@@ -225,35 +275,35 @@ def _limits_along(
         across = (line - (lines - 1) / 2.0) * spacing
         plane = Plane(across, east, north)
         col, row, d_col, d_row, first, last = _crossing(size, posting, step, plane)
-        near = _known_profile(grids[0], (col, row, d_col, d_row), step, first, last, near_s, near_z)
+        crossing = col, row, d_col, d_row
+        near = _known_profile(ground.grids[0], crossing, step, first, last, near_s, near_z)
         if near == 0:
             continue
         inside = near_s, near_z, near
-        towards = _steepest_outside(grids, max_heights, postings, plane, inside, outside, towards)
+        towards = _steepest_outside(ground, plane, last * step, inside, outside, towards)
         # the same plane, seen the other way
         for k in range(near):
             near_s[k] = -near_s[k]
         plane = Plane(-across, -east, -north)
-        away = _steepest_outside(grids, max_heights, postings, plane, inside, outside, away)
+        away = _steepest_outside(ground, plane, -first * step, inside, outside, away)
     return towards, away
 
 
 @kernel
 def _limits(heights: Float32Array, postings: FloatArray, radius: float, per_bin: int) -> FloatArray:
     grids = _tangent_heights(heights, postings, radius)
-    max_heights = np.empty(postings.size)
+    tops = _tops(grids)
+    max_heights = np.empty(postings.size, np.float32)
     for level in range(postings.size):
-        max_heights[level] = -np.inf
-        for height in grids[level].flat:
-            if height > max_heights[level]:
-                max_heights[level] = height
+        max_heights[level] = tops[level].max()
+    ground = SkylineGrids(grids, tops, max_heights, postings)
     half = AZIMUTHS * per_bin // 2
     tangents = np.empty(2 * half)
     room = np.empty((4, 2 * heights.shape[1]))
     for k in range(half):
         azimuth = math.pi * k / half
         tangents[k], tangents[k + half] = _limits_along(
-            grids, max_heights, postings, math.sin(azimuth), math.cos(azimuth), room
+            ground, math.sin(azimuth), math.cos(azimuth), room
         )
     return tangents
 

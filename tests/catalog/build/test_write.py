@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from catalog.build.config import WriteSettings
+from catalog.build.ingest import chunks_of
 from catalog.build.write import CatalogExtras, point_chunks, write
 from catalog.config import parse_toml
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
@@ -68,12 +69,16 @@ def results_beside(path: Path) -> ChunkResults:
     return ChunkResults(Workspace(path.with_suffix(".work")), "write", "key", PreparedPoint)
 
 
+def pieces_of(given: Sequence[ControlPoint], grid: CellGrid) -> list[list[ControlPoint]]:
+    return point_chunks(chunks_of(grid, np.array([point.id for point in given])), given)
+
+
 def written_with(
     workers: Any, path: Path, given: Sequence[ControlPoint], context: PlaneWaveContext
 ) -> Any:
     return write(
         context,  # type: ignore[arg-type]
-        given,
+        pieces_of(given, context.grid),
         path,
         extras=CatalogExtras({"dem.tif": "sha256 0"}, "[body]", relief=None),
         results=results_beside(path),
@@ -86,7 +91,7 @@ def written_with(
 def test_the_order_of_points_and_chunks_does_not_matter(tmp_path: Path) -> None:
     context = PlaneWaveContext()
     given = points(context.grid)
-    pieces = [[point.id for point in chunk] for chunk in point_chunks(context, given)]
+    pieces = [[point.id for point in chunk] for chunk in pieces_of(given, context.grid)]
     assert any(a[0] < b[0] < a[-1] for a in pieces for b in pieces)  # pieces that interleave
     first = written_with(SerialWorkers(), tmp_path / "a.gpkg", given, context)
     second = written_with(BackwardWorkers(), tmp_path / "b.gpkg", given[::-1], context)

@@ -52,6 +52,24 @@ def test_a_chunk_that_is_missing_is_told(results):
     assert results.all_records(2) is None
 
 
+def both(context, chunk):
+    return things(context, chunk), [Thing(-cell) for cell in chunk]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_a_function_makes_on_its_way_lies_beside_its_own(results, count):
+    beside = ChunkResults(results.workspace, "write", "key", Thing)
+    workers, account = workers_of(count), StageAccount("render")
+    try:
+        with SilentProgress().stage("render", 1, "cell") as shown:
+            made = results.make(both, 0, [[1, 2], [3]], workers, account, shown, beside)
+            assert sorted(made) == [0, 1]
+    finally:
+        workers.close()
+    assert [thing.cell for thing in results.all_records(2)] == [1, 2, 3]
+    assert [thing.cell for thing in beside.all_records(2)] == [-1, -2, -3]
+
+
 def test_worker_processes_hand_over_the_same(results):
     workers = workers_of(2)
     try:
@@ -70,7 +88,7 @@ def test_an_answer_through_a_pipe_is_too_short_to_be_torn_by_a_kill(results, mon
         jobs.multiprocessing, "parent_process", lambda: SimpleNamespace(pid=os.getpid())
     )
     here = (socket.gethostname(), os.getpid())
-    answer = jobs._made(things, results.workspace, here, 10**6, (results.name(0), [7]))
+    answer = jobs._made(things, results.workspace, here, 10**6, ([results.name(0)], [7]))
     assert len(pickle.dumps(answer)) < select.PIPE_BUF / 2
     assert [thing.cell for thing in results.records(0)] == [7]
 
@@ -80,6 +98,6 @@ def test_a_worker_elsewhere_answers_with_the_bytes_and_writes_nothing(results, m
         jobs.multiprocessing, "parent_process", lambda: SimpleNamespace(pid=os.getpid())
     )
     elsewhere = ("another-machine", os.getpid())
-    data, _ = jobs._made(things, results.workspace, elsewhere, 100, (results.name(0), [7]))
-    assert data is not None
+    data, _ = jobs._made(things, results.workspace, elsewhere, 100, ([results.name(0)], [7]))
+    assert len(data) == 1
     assert results.records(0) is None
