@@ -74,3 +74,7 @@ def test_the_stored_figures_keep_what_is_asked() -> None:
         assert cells["d_rms"] <= cells["d_asked"]
         assert cells["theta_rms"] <= cells["theta_asked"]
         assert cells["held"] >= 95.0
+    names = [column["name"] for column in tables[1]["columns"]]
+    shipped = dict(zip(names, tables[1]["rows"][0], strict=True))
+    assert shipped["largest"] <= shipped["asked"]
+    assert 0.7 <= shipped["nees"] <= 1.4
