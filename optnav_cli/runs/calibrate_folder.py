@@ -78,7 +78,9 @@ class Calibration:
         common, focal = self.adjustment.common, {}
         for camera in self.cameras.values():
             focal[camera.name] = camera.focal_length_px
-        found = [f"{names[0]} is not observed" for names in self.adjustment.not_separable()]
+        groups = self.adjustment.not_separable()
+        unseen = dict.fromkeys(name for names in groups for name in names)
+        found = [f"{name} is not observed" for name in unseen]
         found += [direction.words() for direction in self.directions]
         pairs = tied_pairs(common.numbers, self.adjustment.covariance, focal)
         return found + [pair.words() for pair in pairs]
@@ -168,7 +170,7 @@ def calibrate_folder(
     started = datetime.now(UTC)
     check_apart(output, [given.pictures, *given.catalogs])
     folder = read_folder(given.pictures, given.kernels)
-    _check_stated(folder)
+    _check_stated(folder, kinds)
     with logged_stage(STAGE), unfinished(output, KIND) as workspace:
         cameras: Mapping[str, Camera] = folder.cameras
         for number in range(PASSES):
@@ -255,20 +257,30 @@ def check_points(frames: Sequence[AdjustedFrame]) -> None:
         )
 
 
-def _check_stated(folder: Folder) -> None:
+def _check_stated(folder: Folder, kinds: Sequence[Common]) -> None:
     """Raise DataError for frames.csv without what a calibration measures against."""
     where = folder.path / "frames.csv"
     good = [frame for frame in folder.frames if frame.problem is None]
+    bad = [f"; {frame.file}: {frame.problem}" for frame in folder.frames if frame.problem]
     placed = [f for f in good if f.position_m is not None and f.position_sigma_m is not None]
     if len(placed) < MIN_FRAMES:
         raise DataError(
-            f"{where}: {len(placed)} rows have a position with its sigma; a calibration measures "
-            "the camera against known positions: fill in x_m, y_m, z_m and position_sigma_m"
+            f"{where}: {len(placed)} of {len(folder.frames)} rows have a position with its sigma, "
+            f"and {MIN_FRAMES} or more are wanted; a calibration measures the camera against known "
+            f"positions: fill in x_m, y_m, z_m and position_sigma_m{''.join(bad[:1])}"
         )
-    if sum(frame.camera_from_body is not None for frame in placed) < MIN_FRAMES:
+    turned = [frame for frame in placed if frame.camera_from_body is not None]
+    if len(turned) < MIN_FRAMES:
         raise DataError(
             f"{where}: no rows have an attitude; a calibration measures the mounting against "
             "known attitudes: fill in qw, qx, qy, qz and attitude_sigma_arcsec"
+        )
+    known = sum(frame.own_attitude_sigma_rad is not None for frame in turned)
+    if Common.MOUNTING in kinds and known < MIN_FRAMES:
+        raise DataError(
+            f"{where}: {known} rows have a sigma of their attitude; the mounting is measured "
+            "against known attitudes: fill in attitude_sigma_arcsec, or leave mounting out of "
+            "--solve"
         )
 
 

@@ -140,6 +140,27 @@ def test_frames_without_positions_or_attitudes_are_refused(
     unturned = without(route, tmp_path / "unturned", camera_from_body=None)
     assert calibrated(unturned, "--catalog", catalog_path, "-o", tmp_path / "out") == 3
     assert "the mounting against" in capsys.readouterr().err
+    loose = without(route, tmp_path / "loose", attitude_sigma_rad=None)
+    assert calibrated(loose, "--catalog", catalog_path, "-o", tmp_path / "out") == 3
+    assert "0 rows have a sigma of their attitude" in capsys.readouterr().err
+
+
+def test_a_row_that_cannot_be_read_is_named_where_too_few_are_left(
+    route,
+    catalog_path,  # noqa: F811
+    tmp_path,
+    capsys,
+):
+    folder = without(route, tmp_path / "negative")
+    text = (folder / "frames.csv").read_text().splitlines()
+    column = text[0].split(",").index("position_sigma_m")
+    rows = [row.split(",") for row in text[1:]]
+    changed = [",".join([*row[:column], "-5", *row[column + 1 :]]) for row in rows]
+    (folder / "frames.csv").write_text("\n".join([text[0], *changed]) + "\n")
+    assert calibrated(folder, "--catalog", catalog_path, "-o", tmp_path / "out") == 3
+    told = capsys.readouterr().err
+    assert "0 of 6 rows" in told
+    assert "0.png: position_sigma_m" in told
 
 
 def test_one_frame_with_pictures_is_not_enough(
