@@ -7,15 +7,18 @@ the log. Their names and settings are those that Foxglove exports ("configById",
 import json
 import math
 import re
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
 
 from catalog.errors import DataError, UsageError
 from catalog.files import replacing_file, starts_with
 from optnav_cli.output.recording import topic_of
-from optnav_cli.output.run_folder import RunFolder, read_run
+from optnav_cli.output.run_folder import RECORDING, RunFolder, read_run
 from optnav_cli.output.scene import CAMERA_COLOURS
 
 Panel = dict[str, Any]
@@ -42,29 +45,56 @@ def write_layout(source: Path, output: Path) -> None:
     run = read_run(source)
     if not run.cameras:
         raise DataError(f"{source}: holds no camera files, so there is nothing to lay out")
-    text = json.dumps(layout(run), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = (
+        json.dumps(
+            layout(run, recorded_topics(source / RECORDING)),
+            indent=2,
+            ensure_ascii=False,
+            allow_nan=False,
+        )
+        + "\n"
+    )
     with replacing_file(output, starts_with(BEGINNING)) as path:
         path.write_text(text, encoding="utf-8")
 
 
-def layout(run: RunFolder) -> Panel:
-    """The layout of a run with a camera."""
+def recorded_topics(recording: Path) -> frozenset[str] | None:
+    """The topics of a recording; None where it is not there or cannot be read."""
+    if not recording.is_file():  # nor a pipe, which would never end
+        return None
+    try:
+        with recording.open("rb") as file:
+            summary = make_reader(file).get_summary()
+    except (OSError, McapError, ValueError, struct.error):
+        return None
+    return frozenset(channel.topic for channel in summary.channels.values()) if summary else None
+
+
+def layout(run: RunFolder, recorded: frozenset[str] | None = None) -> Panel:
+    """The layout of a run with a camera, of what is recorded; None: of all that runs record."""
     cameras = sorted({camera.name for camera in run.cameras.values()})
-    pictures = {f"Image!{number}": _picture(name) for number, name in enumerate(cameras)}
-    plots = {f"Plot!{name}": _plot(cameras, *PLOTS[name]) for name in PLOTS}
-    panels = {THREE: _scene(run, cameras), **pictures, **plots}
+
+    def having(what: str) -> list[str]:
+        return [name for name in cameras if recorded is None or topic_of(name, what) in recorded]
+
+    pictures = {f"Image!{number}": _picture(name) for number, name in enumerate(having("image"))}
+    solved = having("solution")
+    plots = {f"Plot!{name}": _plot(solved, *PLOTS[name]) for name in PLOTS if solved}
+    scene = _scene(run, cameras)
+    if recorded is not None:
+        scene["topics"] = {
+            name: shown for name, shown in scene["topics"].items() if name in recorded
+        }
+    panels = {THREE: scene, **pictures, **plots}
     panels[LOG] = {"searchTerms": [], "minLogLevel": 1, "topicToRender": "/log"}
+    above = _split(THREE, _stacked(list(pictures)), "row", 55) if pictures else THREE
+    below = _split(_stacked(list(plots), "row"), LOG, "row", 75) if plots else LOG
     return {
         "configById": panels,
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1.0},
-        "layout": _split(
-            _split(THREE, _stacked(list(pictures)), "row", 55),
-            _split(_stacked(list(plots), "row"), LOG, "row", 75),
-            "column",
-            62,
-        ),
+        "layout": _split(above, below, "column", 62),
     }
 
 

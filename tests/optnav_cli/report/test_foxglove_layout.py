@@ -1,6 +1,8 @@
 """The layout for Foxglove: panels that exist, topics that the recording of the run has."""
 
 import json
+import os
+import shutil
 
 import pytest
 from click.testing import CliRunner
@@ -51,18 +53,31 @@ def test_its_topics_are_those_of_the_recording_and_its_plots_fields_of_its_schem
             recording.add_frame(solution, (), loaded.cameras[solution.file])
     with (tmp_path / "run.mcap").open("rb") as file:
         recorded = {c.topic for c in make_reader(file).get_summary().channels.values()}
-    panels = laid_out(run, tmp_path)["configById"]
+    unread = laid_out(run, tmp_path)["configById"]
+    shutil.copyfile(tmp_path / "run.mcap", run / "run.mcap")
+    found = laid_out(run, tmp_path)
+    assert sorted(panels_of(found["layout"])) == sorted(found["configById"])
+    panels = found["configById"]
     # the rows of this run have neither pictures nor a prior
-    missing = set(panels["3D!scene"]["topics"]) - recorded
-    assert {topic.rsplit("/", 1)[1] for topic in missing} <= {"image", "predicted"}
+    assert set(unread) - set(panels) == {"Image!0", "Image!1"}
+    assert set(panels["3D!scene"]["topics"]) <= recorded
+    missing = set(unread["3D!scene"]["topics"]) - recorded
+    assert {topic.rsplit("/", 1)[1] for topic in missing} == {"image", "predicted"}
     for name, panel in panels.items():
-        if name.startswith("Image!"):
-            assert panel["imageMode"]["calibrationTopic"] in recorded
-            assert set(panel["imageMode"]["annotations"]) <= recorded
         for path in panel.get("paths", ()):
             topic, field = path["value"].rsplit(".", 1)
             assert topic in recorded
             assert foxglove.SOLUTION["properties"][field]["type"] in ("number", "integer")
+
+
+def test_a_recording_that_cannot_be_read_leaves_all_topics(run, tmp_path):
+    whole = laid_out(run, tmp_path)
+    for content in (b"", b"no recording", 500 * b"\xff"):
+        (run / "run.mcap").write_bytes(content)
+        assert laid_out(run, tmp_path) == whole
+    (run / "run.mcap").unlink()
+    os.mkfifo(run / "run.mcap")
+    assert laid_out(run, tmp_path) == whole
 
 
 def test_a_topic_that_a_message_path_cannot_hold_stands_in_quotes(run, tmp_path):
