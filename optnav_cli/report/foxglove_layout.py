@@ -6,6 +6,7 @@ the log. Their names and settings are those that Foxglove exports ("configById",
 
 import json
 import math
+import os
 import re
 import struct
 from pathlib import Path
@@ -45,15 +46,8 @@ def write_layout(source: Path, output: Path) -> None:
     run = read_run(source)
     if not run.cameras:
         raise DataError(f"{source}: holds no camera files, so there is nothing to lay out")
-    text = (
-        json.dumps(
-            layout(run, recorded_topics(source / RECORDING)),
-            indent=2,
-            ensure_ascii=False,
-            allow_nan=False,
-        )
-        + "\n"
-    )
+    laid_out = layout(run, recorded_topics(source / RECORDING))
+    text = json.dumps(laid_out, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing_file(output, starts_with(BEGINNING)) as path:
         path.write_text(text, encoding="utf-8")
 
@@ -64,8 +58,10 @@ def recorded_topics(recording: Path) -> frozenset[str] | None:
         return None
     try:
         with recording.open("rb") as file:
-            summary = make_reader(file).get_summary()
-    except (OSError, McapError, ValueError, struct.error):
+            # a record claims a length, which a damaged one may not mean
+            limit = os.fstat(file.fileno()).st_size
+            summary = make_reader(file, record_size_limit=limit).get_summary()
+    except (OSError, McapError, ValueError, struct.error, MemoryError):
         return None
     return frozenset(channel.topic for channel in summary.channels.values()) if summary else None
 

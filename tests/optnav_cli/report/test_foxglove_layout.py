@@ -63,7 +63,7 @@ def test_its_topics_are_those_of_the_recording_and_its_plots_fields_of_its_schem
     assert set(panels["3D!scene"]["topics"]) <= recorded
     missing = set(unread["3D!scene"]["topics"]) - recorded
     assert {topic.rsplit("/", 1)[1] for topic in missing} == {"image", "predicted"}
-    for name, panel in panels.items():
+    for panel in panels.values():
         for path in panel.get("paths", ()):
             topic, field = path["value"].rsplit(".", 1)
             assert topic in recorded
