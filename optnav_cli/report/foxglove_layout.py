@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from mcap.exceptions import McapError
-from mcap.reader import make_reader
+from mcap.reader import SeekingReader
 
 from catalog.errors import DataError, UsageError
 from catalog.files import replacing_file, starts_with
@@ -60,7 +60,7 @@ def recorded_topics(recording: Path) -> frozenset[str] | None:
         with recording.open("rb") as file:
             # a record claims a length, which a damaged one may not mean
             limit = os.fstat(file.fileno()).st_size
-            summary = make_reader(file, record_size_limit=limit).get_summary()
+            summary = SeekingReader(file, record_size_limit=limit).get_summary()
     except (OSError, McapError, ValueError, struct.error, MemoryError):
         return None
     return frozenset(channel.topic for channel in summary.channels.values()) if summary else None
