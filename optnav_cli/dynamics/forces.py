@@ -172,12 +172,23 @@ class Forces:
 
     def unmodelled(self, position_m: FloatArray) -> Unmodelled:
         """What the forces here leave out at a place, by Kaula's rule and the field's errors."""
-        distance = float(np.linalg.norm(position_m))
+        sigmas, lasting = self._unmodelled(np.array([np.linalg.norm(position_m)]))
+        return Unmodelled(float(sigmas[0]), float(lasting[0]))
+
+    def densities(self, positions_m: FloatArray) -> FloatArray:
+        """(n,) spectral densities of what is left out at places (n, 3); see `Unmodelled`."""
+        sigmas, lasting = self._unmodelled(np.linalg.norm(positions_m, axis=1))
+        found: FloatArray = 2.0 * sigmas**2 * lasting
+        return found
+
+    def _unmodelled(self, distances_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         n, _, pulls = self._left_out
-        share = pulls * (self._radius_m / max(distance, self._radius_m)) ** (2.0 * n)
-        sigma = self.gm / distance**2 * float(np.sqrt(share.sum() / 3.0))
-        degree = float((share * n).sum() / share.sum())
-        return Unmodelled(sigma, distance / (float(np.sqrt(self.gm / distance)) * degree))
+        falls = self._radius_m / np.maximum(distances_m, self._radius_m)
+        share = pulls * falls[:, None] ** (2.0 * n)
+        total = share.sum(axis=1)
+        degrees = (share * n).sum(axis=1) / total
+        lasting = distances_m / (np.sqrt(self.gm / distances_m) * degrees)
+        return self.gm / distances_m**2 * np.sqrt(total / 3.0), lasting
 
     def unmodelled_speed(self, position_m: FloatArray) -> float:
         """1 sigma, m/s, of a circular orbit's speed by the potential left out; see `unmodelled`."""
@@ -187,9 +198,11 @@ class Forces:
         share = share * (self._radius_m / max(distance, self._radius_m)) ** (2.0 * n)
         return float(np.sqrt(self.gm / distance * share.sum()))
 
-    def tide_error_m_s2(self, position_m: FloatArray) -> float:
-        """Of a planet's tide: what is wrong with it for hours, 1 sigma an axis; 0 without one."""
-        return self._tide_error * float(np.linalg.norm(position_m))
+    def tide_error_m_s2(self, positions_m: FloatArray) -> FloatArray:
+        """(...) of a planet's tide at places (..., 3): what is wrong with it for hours, 1 sigma an
+        axis; 0 without one."""
+        found: FloatArray = self._tide_error * np.linalg.norm(positions_m, axis=-1)
+        return found
 
     def _coefficients_left_out(self, *, known: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Degrees, the rms of their coefficients' errors and their shares of the pull squared.

@@ -12,6 +12,7 @@ MAX_FIRST, MAX_PAIRS = 14, 12
 BEST_GAP_RAD, MAX_GAP_RAD = 0.25, 2.5
 WINDOW_RAD = 2.2  # over which a pair is judged
 SHOTS = 12
+GOOD_SCORE = 1.0  # the next fixes lie within their sigmas: no need of a better pair
 
 
 def first_orbit(problem: OrbitProblem) -> tuple[int, FloatArray]:
@@ -28,6 +29,8 @@ def first_orbit(problem: OrbitProblem) -> tuple[int, FloatArray]:
             continue
         if found is None or score < found[0]:
             found = score, problem.node_of[one], state
+        if score < GOOD_SCORE:
+            break
     if found is None:
         raise NoSolutionError(
             "no two fixes lie near enough in time for a first orbit; state a [[prior]]"

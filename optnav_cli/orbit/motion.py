@@ -106,18 +106,21 @@ class ArcMotion:
         """How long the motion takes for a radian, s."""
         return self._motion.radian_s(position_m)
 
-    def densities(self, position_m: FloatArray) -> FloatArray:
-        """(3,) m^2/s^3 of the white acceleration along R, N, B that stands for what is left out."""
+    def densities(self, positions_m: FloatArray) -> FloatArray:
+        """(n, 3) along R, N, B of the white acceleration that stands for what is left out, m^2/s^3.
+
+        positions_m  (n, 3)
+        """
         if self._noise.model in ("none", "mean"):
-            return np.zeros(3)
+            return np.zeros((len(positions_m), 3))
         if self._noise.density_m2_s3 is not None:
-            return np.full(3, self._noise.density_m2_s3)
-        density, sizes = self.forces.unmodelled(position_m).spectral_density, self.sizes
-        found = density * np.array([sizes.across, sizes.along, sizes.across])
-        steady = self.forces.tide_error_m_s2(position_m)
-        if steady and self.forces.planet_rate:
+            return np.full((len(positions_m), 3), self._noise.density_m2_s3)
+        sizes = np.array([self.sizes.across, self.sizes.along, self.sizes.across])
+        found: FloatArray = self.forces.densities(positions_m)[:, None] * sizes
+        if self.forces.planet_rate:
+            steady = self.forces.tide_error_m_s2(positions_m)
             # it turns with the planet, and lasts for a radian of that
-            found += 2.0 * steady**2 / self.forces.planet_rate
+            found += 2.0 * steady[:, None] ** 2 / self.forces.planet_rate
         return found
 
     def local(self, states: FloatArray) -> FloatArray:
@@ -134,12 +137,6 @@ class ArcMotion:
                 found[k, 3:, 3:] = np.outer(along, along)
         return found
 
-    def _noises(self, states: FloatArray, seconds: float) -> FloatArray:
-        """Covariances (n, 6, 6) that the white acceleration adds in a short time from states."""
-        axes = np.array([rnb_of(state) for state in states])
-        densities = np.array([self.densities(state[:3]) for state in states])
-        return white(axes.transpose(0, 2, 1) * densities[:, None] @ axes, seconds)
-
     def step(
         self,
         state: FloatArray,
@@ -148,24 +145,55 @@ class ArcMotion:
         names: Sequence[str] = (),
     ) -> ArcStep:
         """To another time, with derivatives by force parameters of these names."""
-        pieces = abs(to_s - from_s) / (MAX_PIECE_RAD * self.radian_s(state[:3]))
-        count = min(max(1, int(np.ceil(pieces))), MAX_PIECES)
-        ends = np.linspace(from_s, to_s, count + 1)[1:]
-        states, transitions, pushed = self._motion.partials(state, from_s, ends, names)
-        starts = np.concatenate([state[None], states[:-1]])
-        noise = np.zeros((6, 6))
+        return self.steps(state[None], np.array([from_s, to_s]), names)[0]
+
+    def steps(
+        self, states: FloatArray, times: FloatArray, names: Sequence[str] = ()
+    ) -> list[ArcStep]:
+        """From states (n, 6), each to the next of times (n + 1,)."""
+        flown, starts, seconds = [], [], []
+        for state, from_s, to_s in zip(states, times[:-1], times[1:], strict=True):
+            pieces = abs(to_s - from_s) / (MAX_PIECE_RAD * self.radian_s(state[:3]))
+            count = min(max(1, int(np.ceil(pieces))), MAX_PIECES)
+            ends = np.linspace(from_s, to_s, count + 1)[1:]
+            flown.append(self._motion.partials(state, float(from_s), ends, names))
+            starts += [state[None], flown[-1][0][:-1]]
+            seconds += [(to_s - from_s) / count] * count
+        noises = np.zeros((len(flown), 6, 6))
         if self._noise.model not in ("none", "mean"):
-            added = self._noises(starts, (to_s - from_s) / count)
-            bring = transitions[-1] @ np.linalg.inv(transitions)
-            noise = (bring @ added @ bring.transpose(0, 2, 1)).sum(axis=0)
-        return ArcStep(states[-1], transitions[-1], noise, pushed[-1])
+            noises = self._noises(
+                np.concatenate(starts), np.array(seconds), [phi for _, phi, _ in flown]
+            )
+        return [
+            ArcStep(ends[-1], transitions[-1], noise, pushed[-1])
+            for (ends, transitions, pushed), noise in zip(flown, noises, strict=True)
+        ]
+
+    def _noises(
+        self, starts: FloatArray, seconds: FloatArray, transitions: list[FloatArray]
+    ) -> FloatArray:
+        """Covariances (n, 6, 6) that the white acceleration adds on the way of n steps.
+
+        starts (p, 6), seconds (p,)  of the pieces of all;  transitions  of each step, to the ends
+        of its pieces
+        """
+        axes = np.array([rnb_of(state) for state in starts])
+        densities = self.densities(starts[:, :3])
+        added = white(axes.transpose(0, 2, 1) * densities[:, None] @ axes, seconds)
+        counts = [len(phi) for phi in transitions]
+        whole = np.repeat([phi[-1] for phi in transitions], counts, axis=0)
+        bring = whole @ np.linalg.inv(np.concatenate(transitions))
+        first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        found: FloatArray = np.add.reduceat(bring @ added @ bring.transpose(0, 2, 1), first)
+        return found
 
 
-def white(density: FloatArray, seconds: float) -> FloatArray:
-    """Covariances (..., 6, 6), m and m/s, of white acceleration over a short time.
+def white(density: FloatArray, seconds: float | FloatArray) -> FloatArray:
+    """Covariances (..., 6, 6), m and m/s, of white acceleration over short times (...).
 
     density  (..., 3, 3)
     """
+    seconds = np.asarray(seconds)[..., None, None]
     t = abs(seconds)
     covariance = np.empty((*density.shape[:-2], 6, 6))
     covariance[..., :3, :3], covariance[..., 3:, 3:] = density * (t**3 / 3.0), density * t

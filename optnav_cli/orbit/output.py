@@ -137,7 +137,7 @@ def disturbance_rows(fit: OrbitFit) -> Iterator[dict[str, object]]:
         start, end = (float(problem.times[k]) for k in (i, i + 1))
         state = fit.trajectory.states[i + 1]
         axes = rnb_of(state)
-        density = float(np.mean(problem.motion.densities(state[:3])))
+        density = float(np.mean(problem.motion.densities(state[None, :3])))
         cells: dict[str, object] = {
             "from_utc": utc_from_tdb_s(start),
             "to_utc": utc_from_tdb_s(end),

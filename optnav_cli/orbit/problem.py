@@ -310,9 +310,7 @@ class OrbitProblem:
         paths = np.zeros((count, n, q))
         motion = self.motion_at(at)
         names = [p.name for p in (*estimated, *considered)]
-        for i in range(count - 1):
-            span = float(self.times[i]), float(self.times[i + 1])
-            step = motion.step(at.states[i], *span, names)
+        for i, step in enumerate(motion.steps(at.states[:-1], self.times, names)):
             transitions[i, :6, :6] = step.transition
             defects[i, :6, 0] = step.state - at.states[i + 1]
             noises[i, :6, :6] = step.noise

@@ -32,6 +32,7 @@ START_UTC = "2026-01-01T00:00:00Z"
 HEIGHT_M = 100e3
 SHARED = "OPTNAV_SHARED_DATA"
 TOLERANCE = 1e-12
+OFF_DEG, LENS = 37.0, 0.009  # of a station's pictures: off the nadir, and a lens that is longer
 KICK_S = 30.0  # white noise of the truth is drawn as kicks so far apart
 SURE_DEGREE, TRUE_DEGREE, FIELD_ERROR = 20, 90, 0.1
 FIELD = "gravity/glgm3150.txt"  # of OPTNAV_SHARED_DATA
@@ -154,6 +155,15 @@ def fixes_of(flight: TrueFlight, rng: np.random.Generator, errors: FixErrors) ->
         utc, name = utc_from_tdb_s(stamp), f"{errors.camera}_{number:04d}"
         found.append(OrbitFix(name, utc, stamp, "run", errors.camera, place, covariance))
     return found
+
+
+def sight_of(place: FloatArray, level: FloatArray, radius_m: float) -> FloatArray:
+    """(3,) to a craft at a place (3,) from the ground OFF_DEG off its nadir, towards `level`."""
+    ahead = np.cos(np.radians(OFF_DEG)) * -unit(place) + np.sin(np.radians(OFF_DEG)) * level
+    along = float(place @ ahead)
+    away = -along - np.sqrt(along**2 - float(place @ place) + radius_m**2)
+    sight: FloatArray = -away * ahead
+    return sight
 
 
 DAY_SIDE = FixErrors(8.0, 20.0)

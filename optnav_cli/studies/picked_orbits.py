@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.geometry.rotations import rnb_axes
-from catalog.geometry.vectors import angle_between, unit
+from catalog.geometry.vectors import angle_between
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.frames.run_settings import RunSettings, write_run_settings
@@ -31,9 +31,9 @@ from optnav_cli.orbit.predict import OrbitPath
 from optnav_cli.orbit.problem import OrbitFix, OrbitPrior
 from optnav_cli.orbit.settings import NoiseSettings, OrbitFitSettings, ParameterSettings
 from optnav_cli.studies.orbit_fits import OrbitFigure, solved
-from optnav_cli.studies.orbit_flights import TrueFlight, ephemeris_of, every, fly
+from optnav_cli.studies.orbit_flights import LENS, TrueFlight, ephemeris_of, every, fly, sight_of
 
-HEIGHT_M, INCLINATION_DEG, MINUTES, PICTURES, OFF_DEG = 420e3, 51.6, 172, 30, 37.0
+HEIGHT_M, INCLINATION_DEG, MINUTES, PICTURES = 420e3, 51.6, 172, 30
 # Normalised, of EGM96 (Lemoine et al., NASA/TP-1998-206861), GM and radius of it.
 GM_KM3_S2, RADIUS_KM = 398600.4415, 6378.1363
 TRUE_TERMS = {
@@ -46,7 +46,6 @@ TRUE_TERMS = {
 }
 DRAG_M_S2 = 5e-7  # at 420 km
 SERIES_M, PICKED_M = (3000.0, 3000.0, 4500.0), (220.0, 220.0, 190.0)  # across twice, up
-LENS = 0.009
 CLOCK_S, NODE_DEG = 6.0, 0.01
 TIMED_M = 300.0
 OPEN_M, OPEN_M_S = 1e6, 1e3  # of a prior that states the node alone
@@ -90,7 +89,7 @@ class _Earth:
             place = flight.ephemeris.body_from_inertial(time) @ state[:3]
             axes = rnb_axes(place, rng.normal(size=3))  # R is up
             spread = np.array([sizes_m[2], sizes_m[0], sizes_m[1]])
-            sight = _sight(place, axes[1], flight.body.radius_m)
+            sight = sight_of(place, axes[1], flight.body.radius_m)
             place = place + (spread * rng.normal(size=3)) @ axes + lens * sight
             covariance = (axes.T * spread**2) @ axes
             stamp = time - clock_s
@@ -135,15 +134,6 @@ def _start(rng: np.random.Generator, forces: Forces) -> FloatArray:
     turn = Rotation.from_euler("ZXZ", [node, tilt, along]).as_matrix()
     radius = forces.motion.body.radius_m + HEIGHT_M
     return np.concatenate([radius * turn[:, 0], np.sqrt(forces.gm / radius) * turn[:, 1]])
-
-
-def _sight(place: FloatArray, level: FloatArray, radius_m: float) -> FloatArray:
-    """(3,) from the ground that is seen OFF_DEG off the nadir to the craft."""
-    ahead = np.cos(np.radians(OFF_DEG)) * -unit(place) + np.sin(np.radians(OFF_DEG)) * level
-    along = float(place @ ahead)
-    away = -along - np.sqrt(along**2 - float(place @ place) + radius_m**2)
-    sight: FloatArray = -away * ahead
-    return sight
 
 
 def _path(fit: OrbitFit, times: FloatArray) -> FloatArray:
