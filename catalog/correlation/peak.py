@@ -70,7 +70,7 @@ def locate_peak(surface: Float32Array, nodes: int) -> Match:
     Returns the match; a peak on the surface's border has an infinite covariance, for it is no
     peak: the true place may lie outside.
     """
-    row, col = (int(i) for i in np.unravel_index(int(np.argmax(surface)), surface.shape))
+    row, col = divmod(int(surface.argmax()), surface.shape[1])
     dx, dy, best, runner_up, xx, xy, yy = _shape(np.ascontiguousarray(surface), row, col)
     covariance = np.array([[xx, xy], [xy, yy]])
     if np.isfinite(xx):

@@ -1,5 +1,6 @@
 """Matching under an unknown roll and scale: the reference is turned and stretched to fit."""
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple, Protocol
@@ -40,7 +41,7 @@ def turned(
     """
     size = reference.shape[0]
     centre = (size - 1) / 2.0
-    turn = cv2.getRotationMatrix2D((centre, centre), float(np.degrees(roll)), scale)
+    turn = cv2.getRotationMatrix2D((centre, centre), math.degrees(roll), scale)
     image = cv2.warpAffine(reference, turn, (size, size), borderValue=beyond)
     return np.asarray(image, dtype=np.float32)
 

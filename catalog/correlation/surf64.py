@@ -9,6 +9,8 @@ sums over a cell are box sums that all positions share, and a descriptor costs a
 Cells larger than 8 nodes blur the peak: a 64-node square wants 8 x 8 cells (256 numbers).
 """
 
+from functools import cache
+
 import cv2
 import numpy as np
 
@@ -172,6 +174,7 @@ def _fill_similarities(
             out[p, q] = products[q] / np.sqrt(squared) if squared > 1e-20 else 0.0
 
 
+@cache
 def cell_weights(cells: int) -> Float32Array:
     """(cells, cells) Gaussian weights at the middles of the cells, largest near one."""
     middles = (np.arange(cells) + 0.5) / cells - 0.5

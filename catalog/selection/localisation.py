@@ -21,6 +21,7 @@ unlike the true place its best rival in the search region is, by SURF.
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -149,6 +150,7 @@ def _eigenvalue_map(
     return out
 
 
+@cache
 def azimuth_products(azimuths: int = AZIMUTHS) -> Float32Array:
     """(azimuths, 3): e², e n, n² of azimuths over half a turn; e, n the Sun's east and north."""
     angle = np.pi * np.arange(azimuths) / azimuths

@@ -8,6 +8,7 @@ goes as the navigator's does: roll and scale over a small grid at a coarse level
 nodes a side: as good, and a third of the work), then tracked to the finest.
 """
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
@@ -153,9 +154,14 @@ def draw_circumstances(
 
 def distortion(circumstances: Circumstances) -> FloatArray:
     """(2, 2): map offsets of the ground (x east, y north) to offsets in the resampled picture."""
-    turn = _similarity(circumstances.roll, circumstances.scale)
-    along = np.array([np.sin(circumstances.stretch_azimuth), np.cos(circumstances.stretch_azimuth)])
-    return turn @ (np.eye(2) - (1.0 - circumstances.stretch) * np.outer(along, along))
+    azimuth, short = circumstances.stretch_azimuth, 1.0 - circumstances.stretch
+    east, north = math.sin(azimuth), math.cos(azimuth)
+    squeeze = [
+        [1.0 - short * east * east, -short * east * north],
+        [-short * east * north, 1.0 - short * north * north],
+    ]
+    turned: FloatArray = _similarity(circumstances.roll, circumstances.scale) @ np.array(squeeze)
+    return turned
 
 
 def run_trial(
@@ -177,7 +183,9 @@ def run_trial(
     if not levels:
         raise ValueError("a trial needs at least one level")
     rng = np.random.default_rng(list(seed))
-    ground_from_picture = np.linalg.inv(distortion(circumstances))
+    (a, b), (c, d) = distortion(circumstances).tolist()
+    # written out: the library takes ten times as long for so small a matrix
+    ground_from_picture = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
     picture_from_ground = np.eye(2)  # as estimated so far
     place = np.zeros(2)  # the point's estimated place in the picture, m east and north
     sun, view = circumstances.sun_local, circumstances.view_local
@@ -194,8 +202,8 @@ def run_trial(
         room = search.coarse_nodes if coarsest else search.fine_nodes
         window = search.template_nodes + 2 * room
         offset = ground_from_picture @ (place - circumstances.shift_m) / posting_m
-        offset = FINER * _FLIP @ offset
-        truth_from_picture = FINER * _FLIP @ ground_from_picture @ picture_from_ground @ _FLIP
+        offset = _FINER_FLIP @ offset
+        truth_from_picture = _FINER_FLIP @ ground_from_picture @ picture_from_ground @ _FLIP
         side = side_under(truth_from_picture, offset, window, level.truth.shape[0])
         truth, finer_m = _centre(level.truth, side), posting_m / FINER
         seen = render_map_quickly(
@@ -222,11 +230,12 @@ def run_trial(
             match = match_ncc(template, picture)
             step = picture_from_ground @ np.array([match.dx, -match.dy])
         place = place + step * step_m
-        if not np.isfinite(match.covariance).all():
+        is_peak = bool(np.isfinite(match.covariance).all())
+        if not is_peak:
             break
     error = (place - circumstances.shift_m) / levels[0].posting_m
     accepted = (
-        bool(np.isfinite(match.covariance).all())
+        is_peak
         and match.score >= gate.min_score
         and match.runner_up <= gate.rival_ratio * match.score
     )
@@ -235,11 +244,12 @@ def run_trial(
 
 # between map axes (x east, y north) and grid axes (x along columns, y along rows)
 _FLIP = np.diag([1.0, -1.0])
+_FINER_FLIP = FINER * _FLIP
 
 
 def _similarity(roll: float, scale: float) -> FloatArray:
-    cosine, sine = np.cos(roll), np.sin(roll)
-    return scale * np.array([[cosine, -sine], [sine, cosine]])
+    cosine, sine = scale * math.cos(roll), scale * math.sin(roll)
+    return np.array([[cosine, -sine], [sine, cosine]])
 
 
 def _centre(grid: Float32Array, size: int) -> Float32Array:
@@ -265,10 +275,11 @@ def picture_of(
     averaging                    picture pixels averaged into one node, each way: lowers the noise
     """
     # a pixel integrates over its own area: a box of one node has sigma 1/sqrt(12)
-    sigma = FINER * np.hypot(PSF_SIGMA_PX / averaging, 1.0 / np.sqrt(12.0))
-    blurred = cv2.GaussianBlur(brightness, (0, 0), float(sigma))
-    centre = np.full(2, (size - 1) / 2.0)
-    matrix = np.column_stack([ground_from_picture, origin - ground_from_picture @ centre])
+    sigma = FINER * math.hypot(PSF_SIGMA_PX / averaging, 1.0 / math.sqrt(12.0))
+    blurred = cv2.GaussianBlur(brightness, (0, 0), sigma)
+    (a, b), (c, d) = ground_from_picture.tolist()
+    (x, y), half = origin.tolist(), (size - 1) / 2.0
+    matrix = np.array([[a, b, x - (a + b) * half], [c, d, y - (c + d) * half]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     sampled = cv2.warpAffine(blurred, matrix, (size, size), flags=flags, borderValue=float("nan"))
     noise = _noise(size, rng)
@@ -358,5 +369,9 @@ def side_under(ground_from_picture: FloatArray, offset: FloatArray, size: int, l
     offset   (2,)  truth nodes from the grid's centre to the picture's
     largest  side of the whole, even
     """
-    reach = np.abs(offset) + np.abs(ground_from_picture).sum(axis=1) * (size - 1) / 2.0
-    return min(2 * int(np.ceil(reach.max() + PICTURE_MARGIN + 0.5)), largest)
+    half = (size - 1) / 2.0
+    reach: float = max(
+        abs(middle) + (abs(a) + abs(b)) * half
+        for middle, (a, b) in zip(offset.tolist(), ground_from_picture.tolist())
+    )
+    return min(2 * math.ceil(reach + PICTURE_MARGIN + 0.5), largest)

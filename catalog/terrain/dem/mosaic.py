@@ -226,15 +226,15 @@ class Mosaic:
 
         size  nodes a row of the map grid that they are, 0 for scattered ones
         """
-        layers = []
-        wanted = np.arange(count)
+        layers: list[tuple[IntArray, Float32Array, FloatArray]] = []
+        wanted = np.arange(count if len(self.pyramids) > 1 else 0)  # one source gives all
         for i, pyramid in enumerate(self.pyramids):
             pixels = places(pyramid.source.place)
-            if wanted.size < count:
+            if layers:
                 pixels = pixels.part(wanted)
             level = pyramid.level_for(posting_m)
             rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
-            whole = size if wanted.size == count else 0
+            whole = size if not layers or wanted.size == count else 0
             found = sample_level(self.level_windows(i, level), pixels, rows_wide, whole)
             known = ~np.isnan(found)
             if len(self.pyramids) == 1:
