@@ -44,10 +44,10 @@ def high_pass(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -> Float
 
     grid (rows, cols) float32; returns the same shape, finite.
     """
-    return _high_passed((grid,), np.isfinite(grid), sigma_nodes)[0]
+    return high_passed((grid,), np.isfinite(grid), sigma_nodes)[0]
 
 
-def _high_passed(
+def high_passed(
     grids: tuple[Float32Array, ...], valid: BoolArray, sigma_nodes: float = HIGH_PASS_NODES
 ) -> list[Float32Array]:
     """`high_pass` of grids whose nodes are those of `valid`."""
@@ -298,7 +298,7 @@ def with_remainder_covariance(
         return match
     seen = laid_at(search, reference, match)
     both = np.isfinite(reference) & np.isfinite(seen)
-    template, patch = _high_passed((reference, seen), both)
+    template, patch = high_passed((reference, seen), both)
     return _by_remainder(match, template, cropped(patch, margin_nodes), both, margin_nodes)
 
 

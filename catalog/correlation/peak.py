@@ -154,6 +154,42 @@ class Prior(NamedTuple):
     sigma: float
 
 
+class WeightedFit(NamedTuple):
+    """A patch fitted by patterns and weighted by what they leave over, before priors of theirs.
+
+    first (k,)   strengths of a fit in which all nodes count alike
+    normal, right (k - 1, k - 1), (k - 1,)  equations of the steps from there, of the template on
+    scatter      covariance (k - 1, k - 1) of the right side
+    """
+
+    first: FloatArray
+    normal: FloatArray
+    right: FloatArray
+    scatter: FloatArray
+
+    def solved(self, priors: Sequence[Prior] = ()) -> tuple[FloatArray, FloatArray] | None:
+        """Strengths (k - 1,) from the template on, their covariance; None: no template is shown."""
+        normal, right, scatter = self.normal.copy(), self.right.copy(), self.scatter.copy()
+        for pattern, mean, sigma in priors:
+            k, weight = pattern - 1, 1.0 / (sigma * self.first[1]) ** 2
+            right[k] += weight * (mean * self.first[1] - self.first[pattern])
+            normal[k, k] += weight
+            scatter[k, k] += weight
+        inverse = _inverse_of_normal(normal)
+        if inverse is None:
+            return None
+        strengths: FloatArray = self.first[1:] + inverse @ right
+        return (strengths, inverse @ scatter @ inverse) if strengths[0] > 0.0 else None
+
+    def remainder(self, priors: Sequence[Prior] = ()) -> Remainder:
+        """The place that the strengths give."""
+        found = self.solved(priors)
+        if found is None:
+            return NO_REMAINDER
+        (gain, *moved), covariance = found[0][:3], found[1][1:3, 1:3]
+        return Remainder(-np.array(moved) / gain, covariance / gain**2)
+
+
 def refined_by_remainder(
     patterns: Float32Array, patch: Float32Array, nodes: int, priors: Sequence[Prior] = ()
 ) -> Remainder:
@@ -174,10 +210,16 @@ def refined_by_remainder(
     is, the place has N^-1 J N^-1 / a^2; infinite where a <= 0: the patch does not show the
     template.
     """
+    fit = weighted_fit(patterns, patch, nodes)
+    return NO_REMAINDER if fit is None else fit.remainder(priors)
+
+
+def weighted_fit(patterns: Float32Array, patch: Float32Array, nodes: int) -> WeightedFit | None:
+    """The fit of `refined_by_remainder`; None where the patch does not show the template."""
     patch = np.ascontiguousarray(patch)  # one kind of array, so that kernels are compiled once
     first = plain_fit(patterns, patch)
     if first is None or not first[1] > 0.0:
-        return NO_REMAINDER
+        return None
     # zeros about the grids keep opposite borders apart as far as errors are correlated
     side = cv2.getOptimalDFTSize(patch.shape[0] + CORRELATED_NODES)
     grids = np.concatenate([patterns[1:], rest_of(patterns, patch, first)[None]])
@@ -189,19 +231,7 @@ def refined_by_remainder(
     floor = SPECTRUM_FLOOR * float(correlation[0, 0]) + 1e-30
     normal, right, scatter = _weighted_sums(waves.view(np.float32), power, spectrum, floor)
     scatter /= nodes
-    for pattern, mean, sigma in priors:
-        k, weight = pattern - 1, 1.0 / (sigma * first[1]) ** 2
-        right[k] += weight * (mean * first[1] - first[pattern])
-        normal[k, k] += weight
-        scatter[k, k] += weight
-    inverse = _inverse_of_normal(normal)
-    if inverse is None:
-        return NO_REMAINDER
-    gain, *moved = (first[1:] + inverse @ right)[:3]
-    if not gain > 0.0:
-        return NO_REMAINDER
-    covariance = (inverse @ scatter @ inverse)[1:3, 1:3] / gain**2
-    return Remainder(-np.array(moved) / gain, covariance)
+    return WeightedFit(first, normal, right, scatter)
 
 
 def plain_fit(patterns: Float32Array, patch: Float32Array) -> FloatArray | None:

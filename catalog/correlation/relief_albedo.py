@@ -8,31 +8,39 @@ farther from the Sun. Over maria at nodes of 948 m that is 0.1 nodes under a Sun
 0.3 under one of 36.
 
 So both patterns are fitted along with the place, held by how they go with the Moon's relief (FILE,
-`optnav study fit albedo`). What then is left over lies where the relief is, too, so that every node
-counts by the rest about it.
+`optnav study fit albedo`) and by how the other points of the picture show them: a place and the
+strength of its crests are hard to tell apart. What then is left over lies where the relief is, too,
+so that every node counts by the rest about it.
 """
 
-from functools import cache
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
 
 import cv2
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.config import Positive, load_toml, resource
-from catalog.correlation.ncc import cropped, high_pass_finite, laid_at, laid_patterns, stepped
-from catalog.correlation.peak import Match, Prior, plain_fit, refined_by_remainder, rest_of
+from catalog.correlation.ncc import cropped, high_passed, laid_at, laid_patterns, stepped
+from catalog.correlation.peak import (
+    Match,
+    Prior,
+    WeightedFit,
+    plain_fit,
+    rest_of,
+    weighted_fit,
+)
 
 FILE = "configs/models/albedo.toml"
-# A match without them stays as it is: of what it leaves over the patterns explain so large a share.
-# On highlands under albedo that does not follow relief 95 of 100 matches have less than 0.011, over
-# maria 95 of 100 have more than 0.025 (studies/README.md).
-MIN_SHARE = 0.02
 # The rest about a node: its Gaussian-weighted mean square, and the share of the whole mean square
 # that every node has at least.
 LOCAL_NODES, LOCAL_FLOOR = 5.0, 0.1
 PLAIN_PATTERNS = 4  # 1, template and slopes
+# So many points' worth of scatter is that of all ground, of strengths in a picture.
+PRIOR_POINTS = 1.0
 
 
 class PatternStrength(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -78,54 +86,115 @@ def relief_patterns(
     return (patterns * brightness).astype(np.float32)
 
 
-def without_relief_albedo(
+@dataclass(frozen=True, eq=False)
+class ReliefMatch:
+    """A match on ground whose albedo may follow its relief.
+
+    match                         as it is without that albedo
+    laid (6, n, n), patch (n, n)  of `refined_by_remainder`, steepness and crests behind the slopes
+    compared (n, n)               the nodes that all have; the others are zero
+    """
+
+    match: Match
+    laid: Float32Array
+    patch: Float32Array
+    compared: BoolArray
+
+    @cached_property
+    def _rests(self) -> list[Float32Array]:
+        """What is left of the patch without and with steepness and crests; [] where one is flat."""
+        rests = []
+        for some in (self.laid[:PLAIN_PATTERNS], self.laid):
+            fit = plain_fit(some, self.patch)
+            if fit is None:
+                return []
+            rests.append(rest_of(some, self.patch, fit))
+        return rests
+
+    @cached_property
+    def explained(self) -> float:
+        """Share of what the match leaves over that steepness and crests explain."""
+        if not self._rests:
+            return 0.0
+        alone, both = (float(np.square(rest).mean()) for rest in self._rests)
+        return 1.0 - both / alone if alone > 1e-30 else 0.0
+
+    @cached_property
+    def fit(self) -> WeightedFit | None:
+        """Steepness and crests fitted beside the place; None where they cannot be."""
+        if not self._rests:
+            return None
+        local = _local_size(self._rests[1], self.compared)
+        nodes = int(np.count_nonzero(self.compared))
+        return weighted_fit(self.laid / local, self.patch / local, nodes)
+
+    def under(self, strengths: ReliefAlbedo) -> Match:
+        """The match with place and covariance under so strong an albedo."""
+        if self.fit is None:
+            return self.match
+        return stepped(self.match, self.fit.remainder(_priors(strengths)))
+
+
+def relief_match(
     match: Match,
     reference: Float32Array,
     patterns: Float32Array,
     search: Float32Array,
     margin_nodes: int,
-) -> Match:
-    """A match with place and covariance as if the albedo that follows relief were known.
+) -> ReliefMatch | None:
+    """A match with the patterns laid where it was found; None where it is no peak.
 
     reference (n, n), search (m, m) as for `match_ncc`;  patterns (2, n, n) of `relief_patterns`
-    It stays as it is where that albedo explains no MIN_SHARE of what it leaves over, where it is
-    no peak, and where either grid has a hole.
+    Nodes that either grid lacks take no part.
     """
     if not np.isfinite(match.covariance).all():
-        return match
-    seen = laid_at(search, reference, match)
-    grids = np.dstack([reference, *patterns, seen])
-    if not np.isfinite(grids).all():
-        return match
-    template, *others, patch = _split(high_pass_finite(grids))
-    patch = cropped(patch, margin_nodes)
-    patterns = laid_patterns(match, template, margin_nodes, others)
-    rests = []
-    for some in (patterns[:PLAIN_PATTERNS], patterns):
-        fit = plain_fit(some, patch)
-        if fit is None:
-            return match
-        rests.append(rest_of(some, patch, fit))
-    alone, both = (float(np.square(rest).mean()) for rest in rests)
-    if not alone - both >= max(MIN_SHARE * alone, 1e-30):
-        return match
-    local = _local_size(rests[1])
-    strengths = shipped_strengths()
-    priors = [
+        return None
+    grids = (reference, *patterns, laid_at(search, reference, match))
+    known = np.isfinite(np.stack(grids)).all(axis=0)
+    template, *others, patch = high_passed(grids, known)
+    compared = cropped(known, margin_nodes)
+    laid = laid_patterns(match, template, margin_nodes, others) * compared
+    return ReliefMatch(match, laid, cropped(patch, margin_nodes) * compared, compared)
+
+
+def frame_strengths(points: Sequence[ReliefMatch]) -> ReliefAlbedo:
+    """Strengths as some matches of a picture show them together, and how they differ among them.
+
+    So a match is held by what the others tell.
+    """
+    shipped = shipped_strengths()
+    fits = [point.fit for point in points if point.fit is not None]
+    found = [solved for fit in fits if (solved := fit.solved(_priors(shipped))) is not None]
+    if not found:
+        return shipped
+    parts = []
+    for prior in _priors(shipped):
+        k, variance = prior.pattern - 1, prior.sigma**2
+        values = np.array([strengths[k] / strengths[0] for strengths, _ in found])
+        noise = np.array([spread[k, k] / strengths[0] ** 2 for strengths, spread in found])
+        # of few points their scatter is that of all ground
+        scatter = max(float(((values - values.mean()) ** 2 - noise).sum()), 0.0)
+        among = (scatter + PRIOR_POINTS * variance) / (len(values) - 1 + PRIOR_POINTS)
+        weights = np.append(1.0 / (noise + among), 1.0 / variance)
+        mean = float(weights @ np.append(values, prior.mean) / weights.sum())
+        parts.append(PatternStrength(mean, float(np.sqrt(among + 1.0 / weights.sum()))))
+    return ReliefAlbedo(*parts)
+
+
+def _priors(strengths: ReliefAlbedo) -> list[Prior]:
+    return [
         Prior(PLAIN_PATTERNS + k, strength.mean, strength.sigma)
         for k, strength in enumerate((strengths.steepness, strengths.crests))
     ]
-    found = refined_by_remainder(patterns / local, patch / local, patch.size, priors)
-    return stepped(match, found)
 
 
-def _split(grids: Float32Array) -> list[Float32Array]:
-    """The grids (n, n) of a stack (n, n, k)."""
-    return [np.ascontiguousarray(grids[..., k]) for k in range(grids.shape[2])]
-
-
-def _local_size(rest: Float32Array) -> Float32Array:
-    """Rms of a rest (n, n) about each node over that of the whole."""
-    square = cv2.GaussianBlur(rest * rest, (0, 0), LOCAL_NODES, borderType=cv2.BORDER_REFLECT)
-    mean = max(float(square.mean()), 1e-30)
-    return np.asarray(np.sqrt((square / mean + LOCAL_FLOOR) / (1.0 + LOCAL_FLOOR)), np.float32)
+def _local_size(rest: Float32Array, compared: BoolArray) -> Float32Array:
+    """Rms of a rest (n, n) about each node over that of the whole, of the nodes compared."""
+    square, weight = (
+        cv2.GaussianBlur(grid, (0, 0), LOCAL_NODES, borderType=cv2.BORDER_REFLECT)
+        for grid in (rest * rest, compared.astype(np.float32))
+    )
+    mean = max(float(square.sum() / weight.sum()), 1e-30)
+    near = square / np.maximum(weight, np.float32(1e-3)) / mean
+    sizes: Float32Array = np.sqrt((near + LOCAL_FLOOR) / (1.0 + LOCAL_FLOOR)).astype(np.float32)
+    return sizes

@@ -1,6 +1,8 @@
 """One control point searched in a picture: window into map projection, reference, correlation."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +18,12 @@ from catalog.correlation.ncc import (
     with_remainder_covariance,
 )
 from catalog.correlation.peak import NODES_PER_SAMPLE, Match
-from catalog.correlation.relief_albedo import relief_patterns, without_relief_albedo
+from catalog.correlation.relief_albedo import (
+    ReliefAlbedo,
+    ReliefMatch,
+    relief_match,
+    relief_patterns,
+)
 from catalog.correlation.similarity import Matcher, best_pair, match_similarity, turned
 from catalog.geometry.kernel import bare_kernel, kernel
 from optnav_cli.camera.camera import Camera
@@ -38,10 +45,8 @@ CHANCE_NODES_PER_SAMPLE = 6.0
 # Rendered beyond the template on every side, so that the high-pass does not end at its border.
 MARGIN_NODES = 8
 
-# A match that scores more leaves albedo that follows relief too little room to be told apart: of
-# Apollo 15's frame, with scores of 0.8 to 0.9, residuals would grow from 0.15 to 0.27 px.
-PLAIN_SCORE = 0.8
-# How strong that albedo is was measured at nodes of 948 m; of much finer relief nothing is known.
+# How strong albedo that follows relief is was measured at nodes of 948 m; of much finer relief
+# nothing is known.
 MIN_ALBEDO_POSTING_M = 400.0
 
 OUTSIDE = Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame")
@@ -76,6 +81,17 @@ class SeenPart:
     samples: float
 
 
+class AlbedoFit(NamedTuple):
+    """A match on ground whose albedo may follow its relief.
+
+    laid   its patterns
+    under  makes the match as it is under strengths of them
+    """
+
+    laid: ReliefMatch
+    under: Callable[[ReliefAlbedo], "PointMatch"]
+
+
 @dataclass(frozen=True, eq=False)
 class PointMatch:
     """Where a control point was found, or why not.
@@ -85,6 +101,8 @@ class PointMatch:
     covariance_px2  (2, 2) of the pixel, from what the match leaves over; behind a blur by its peak
     offset_m        (2,) east and north of the place where the pose expected it
     part            what was compared, of patches finer than what is known
+    albedo          where the ground's albedo may follow its relief
+    under_albedo    whether it is the match with such albedo fitted
     """
 
     level: int
@@ -95,6 +113,14 @@ class PointMatch:
     score: float | None = None
     runner_up: float | None = None
     part: SeenPart | None = None
+    albedo: AlbedoFit | None = None
+    under_albedo: bool = False
+
+    def under(self, strengths: ReliefAlbedo) -> "PointMatch":
+        """The match with albedo that follows relief so strongly, where that may be."""
+        if self.albedo is None:
+            return self
+        return replace(self.albedo.under(strengths), under_albedo=True)
 
 
 def match_point(
@@ -138,10 +164,6 @@ def match_point(
         template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
     rendered = template
     template, match = _found(template, window, plan, matcher)
-    coarse = posting >= MIN_ALBEDO_POSTING_M and not (blur_nodes or plan.interim)
-    if coarse and match.score < PLAIN_SCORE and template is rendered:
-        patterns = relief_patterns(around, posting, rendered)
-        match = without_relief_albedo(match, template, patterns, window, MARGIN_NODES)
     samples = 0.0
     if blur_nodes:
         samples = _common_nodes(template, window, match) / nodes_a_sample(blur_nodes / step)
@@ -150,22 +172,34 @@ def match_point(
         each = 1.0 + 2.0 * np.pi * (blur_nodes / step) ** 2 / NODES_PER_SAMPLE
         spread = match.covariance * each * step**2
         match = match._replace(dx=match.dx * step, dy=match.dy * step, covariance=spread)
-    shift, jacobian = _displacement(pixels, match, plan.template_nodes)
     expected = camera.project_from_body(reference.place_m, pose.position_m, camera_from_body)
-    place = expected + shift
-    part = None
-    if blur_nodes:
-        shown = np.isfinite(cropped(sampled, border))
-        middle = cropped(surface, border)[shown].mean(axis=0)
-        seen = camera.project_from_body(middle, pose.position_m, camera_from_body) + shift
-        corners = cropped(pixels, border)[[0, 0, -1, -1], [0, -1, -1, 0]] + shift
-        part = SeenPart(middle, seen, corners, samples)
-    covariance = None
-    if np.isfinite(match.covariance).all():
-        covariance = jacobian @ match.covariance @ jacobian.T
-    reason = _rejection_of_match(match, gates, samples)
-    offset = np.array([match.dx, -match.dy]) * posting
-    return PointMatch(level, reason, place, covariance, offset, match.score, match.runner_up, part)
+
+    def placed(at: Match) -> PointMatch:
+        shift, jacobian = _displacement(pixels, at, plan.template_nodes)
+        part = None
+        if blur_nodes:
+            shown = np.isfinite(cropped(sampled, border))
+            middle = cropped(surface, border)[shown].mean(axis=0)
+            seen = camera.project_from_body(middle, pose.position_m, camera_from_body) + shift
+            corners = cropped(pixels, border)[[0, 0, -1, -1], [0, -1, -1, 0]] + shift
+            part = SeenPart(middle, seen, corners, samples)
+        covariance = None
+        if np.isfinite(at.covariance).all():
+            covariance = jacobian @ at.covariance @ jacobian.T
+        reason = _rejection_of_match(at, gates, samples)
+        offset = np.array([at.dx, -at.dy]) * posting
+        scores = at.score, at.runner_up
+        return PointMatch(level, reason, expected + shift, covariance, offset, *scores, part)
+
+    found = placed(match)
+    coarse = posting >= MIN_ALBEDO_POSTING_M and not (blur_nodes or plan.interim or plan.soft_nodes)
+    if found.reason or not coarse or template is not rendered:
+        return found
+    patterns = relief_patterns(around, posting, rendered)
+    laid = relief_match(match, template, patterns, window, MARGIN_NODES)
+    if laid is None:
+        return found
+    return replace(found, albedo=AlbedoFit(laid, lambda strengths: placed(laid.under(strengths))))
 
 
 def nodes_a_sample(blur_nodes: float) -> float:

@@ -93,16 +93,16 @@ def acceptance_limits() -> AcceptanceLimits:
     return load_toml(resource(FILE), AcceptanceLimits)
 
 
-def log10_false_alarms(scores: ArrayLike, tried: int, template_nodes: float) -> float:
+def log10_false_alarms(scores: ArrayLike, tried: int, template_nodes: ArrayLike) -> float:
     """Powers of ten against chance that the scores of the used points give.
 
     scores          (k,) of the points that the solution uses
     tried           number of points searched, k or more: picking k of them helps chance
-    template_nodes  side of the reference, of nodes that err each for itself
+    template_nodes  (k,) sides of the references, of nodes that err each for itself
     """
     chance = acceptance_limits().chance
     scores = np.asarray(scores, dtype=np.float64)
-    strength = scores * template_nodes / np.sqrt(CHANCE_NODES_PER_SAMPLE)
+    strength = scores * np.asarray(template_nodes) / np.sqrt(CHANCE_NODES_PER_SAMPLE)
     each = np.maximum(strength - chance.level, 0.0) / chance.decade
     return float(each.sum()) - _choices(len(scores), tried)
 

@@ -103,6 +103,12 @@ class SunwardSizes(_Sizes, frozen=True):
     left: Positive
 
 
+class AlbedoSizes(_Sizes, frozen=True):
+    """Of what is left where albedo that follows relief was fitted, common to a frame."""
+
+    shift_nodes: Positive
+
+
 class TerrainSizes(_Sizes, frozen=True):
     """Shares of stated errors of terrain models."""
 
@@ -119,6 +125,7 @@ class PointErrorSizes(_Sizes, frozen=True):
     curved: CurvedSizes
     hidden: HiddenSizes
     sunward: SunwardSizes
+    albedo: AlbedoSizes
     terrain: TerrainSizes
 
 
@@ -189,6 +196,8 @@ class MatchedPoints:
     sizes_m               (n,)       sides of the templates on the ground
     terrain_sigmas_m      (n, 2)     shift an axis and height of each template by the stated error
                                      of its terrain model; None or 0 where none is stated
+    albedo_postings_m     (n,)       of the levels where albedo that follows relief was fitted to
+                                     the matches, else 0; None: to none
     """
 
     points_m: FloatArray
@@ -201,6 +210,7 @@ class MatchedPoints:
     skipped_m: FloatArray
     sizes_m: FloatArray
     terrain_sigmas_m: FloatArray | None = None
+    albedo_postings_m: FloatArray | None = None
 
 
 def own_sigma_m(
@@ -284,13 +294,14 @@ def _warped_m(points: MatchedPoints, sizes: PointErrorSizes) -> FloatArray:
 def common_errors_px(
     points: MatchedPoints, sun_body: FloatArray, sizes: PointErrorSizes | None = None
 ) -> FloatArray:
-    """What one sigma of each error common to a frame moves every point by, (n, 2, 18), px.
+    """What one sigma of each error common to a frame moves every point by, (n, 2, 20), px.
 
     sun_body (3,) unit vector to the Sun, body frame
     The errors are independent: shadows along the Sun, shifts along and across it, stretches of the
     ground and of the picture, two changing stretches, the three of a view round the body, shifts
     along the picture's axes, a rise of the ground, equal on all sides and different toward the Sun
-    and across it, shifts of the whole pattern, what is left of the shift away from the Sun.
+    and across it, shifts of the whole pattern, what is left of the shift away from the Sun, what is
+    left of albedo along the Sun and across it.
     """
     sizes = sizes or shipped_sizes()
     common, curved, hidden = sizes.common, sizes.curved, sizes.hidden
@@ -348,6 +359,12 @@ def common_errors_px(
         moved.append(np.einsum("nij,j->ni", pixel_per_metre, axis) * own_shifts[:, None])
     left = along * (sizes.sunward.left * _sunward_m(points, sizes))[:, None]
     moved.append(np.einsum("nij,nj->ni", pixel_per_metre, left))
+    if points.albedo_postings_m is None:
+        left_m = np.zeros(len(places))
+    else:
+        left_m = sizes.albedo.shift_nodes * unexplained * points.albedo_postings_m
+    for axis in (along, across):
+        moved.append(np.einsum("nij,j->ni", pixel_per_metre, axis) * left_m[:, None])
     return np.stack(moved, axis=2)
 
 

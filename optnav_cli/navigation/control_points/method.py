@@ -210,9 +210,9 @@ def _decades(frame: FrameContext, last: _Pass, searched: int, searched_postings:
     cut = [(match.score or 0.0, match.part) for match in used if match.part is not None]
     decades = 0.0
     if whole:
-        template = min(_template_side(frame, last, k) for k in whole)
+        sides = [_template_side(frame, last, k) for k in whole]
         scores = [last.matches[k].score or 0.0 for k in whole]
-        decades += acceptance.log10_false_alarms(scores, searched - len(cut), template)
+        decades += acceptance.log10_false_alarms(scores, searched - len(cut), sides)
     if cut:
         strengths = [score * np.sqrt(part.samples) for score, part in cut]
         size_px = frame.camera.width_px, frame.camera.height_px

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.control_point import Patch
 from catalog.correlation.ncc import match_ncc
-from catalog.correlation.relief_albedo import steepness_and_crests
+from catalog.correlation.relief_albedo import shipped_strengths, steepness_and_crests
 from catalog.correlation.surf64 import match_surf
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose, predict
@@ -104,8 +104,14 @@ def test_albedo_that_follows_relief_moves_no_point(rough_world, reference, monke
     plain = search(reference, picture, truth, high, gates=MatchGates(0.2, 0.9))
     monkeypatch.setattr(point_match, "MIN_ALBEDO_POSTING_M", 100.0)
     found = search(reference, picture, truth, high, gates=MatchGates(0.2, 0.9))
+    assert plain.albedo is None
+    assert plain.under(shipped_strengths()) is plain
     assert plain.offset_m[0] < -10.0
-    assert abs(found.offset_m[0]) < 0.5 * abs(plain.offset_m[0])
+    assert found.offset_m[0] == plain.offset_m[0]
+    assert found.albedo.laid.explained > 0.1
+    moved = found.under(shipped_strengths())
+    assert moved.under_albedo
+    assert abs(moved.offset_m[0]) < 0.5 * abs(plain.offset_m[0])
 
 
 def test_the_night_side_is_refused_before_any_search(rough_world, reference, sun):

@@ -46,6 +46,7 @@ CALIBRATED = {
     "finest_keystone_nodes 0.08",
     "hidden": "own 0.12 rise 0.009 shift 0.004 stretch 0.018 keystone 0.012",
     "sunward": "bias_m 6 left 1",
+    "albedo": "shift_nodes 0.12",
     "terrain": "shift 0.25 height 1",
 }
 SIZES = {
@@ -59,7 +60,8 @@ def frame(rng, sizes, stated_px=0.05, hidden_m=0.0, stated_terrain=False, levels
     """A frame from the zenith whose points are missed as these sizes say.
 
     stated_px  of the peaks;  hidden_m  posting of a shape model coarser than the patches
-    stated_terrain  the terrain model's errors are stated, and the picture resolves more than levels
+    stated_terrain  the terrain model's errors are stated, the picture resolves more than levels,
+                    albedo was fitted
     levels  postings that are matched, of the finest
     """
     east, north = rng.uniform(-60e3, 60e3, (2, POINTS))
@@ -83,6 +85,7 @@ def frame(rng, sizes, stated_px=0.05, hidden_m=0.0, stated_terrain=False, levels
         skipped_m=np.full(POINTS, 300.0 * stated_terrain),
         sizes_m=np.full(POINTS, 9.5e3),
         terrain_sigmas_m=np.full((POINTS, 2), 20.0) if stated_terrain else None,
+        albedo_postings_m=np.full(POINTS, 474.0) if stated_terrain else None,
     )
     stated = np.tile(stated_px**2 * np.eye(2), (POINTS, 1, 1))
     own = stated + error_model.own_covariances_px2(points, sizes)

@@ -55,6 +55,13 @@ def test_many_weak_matches_among_many_more_are_no_evidence():
     assert log10_false_alarms(scores, 116, 32) < DECADES.least
 
 
+def test_a_match_at_a_coarse_level_takes_no_evidence_from_the_others():
+    """Over a mare one of eight was matched with 32 nodes: 8 of 8 'agreed by chance'."""
+    fine = log10_false_alarms([0.39] * 7, 7, 80)
+    assert log10_false_alarms([0.39] * 8, 8, [80] * 7 + [32]) > fine > DECADES.least
+    assert log10_false_alarms([0.39] * 8, 8, 32) < DECADES.least
+
+
 def test_a_real_frame_with_poor_scores_still_stands():
     assert log10_false_alarms([0.45] * 8, 20, 80) > DECADES.least
     assert log10_false_alarms([0.85] * 6, 7, 32) > DECADES.least
