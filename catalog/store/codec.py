@@ -31,9 +31,13 @@ ZSTD_LEVEL = 1
 
 
 class _OfThread(threading.local):
-    """Making one costs more than unpacking a patch, and threads must not share one."""
+    """Making one costs more than its work on a patch, and threads must not share one."""
 
     def __init__(self) -> None:
+        parameters = zstandard.ZstdCompressionParameters.from_level(
+            ZSTD_LEVEL, write_content_size=False, write_checksum=False, write_dict_id=False
+        )
+        self.compressor = zstandard.ZstdCompressor(compression_params=parameters)
         self.decompressor = zstandard.ZstdDecompressor(max_window_size=2 * MAX_SIZE * MAX_SIZE)
 
 
@@ -74,14 +78,18 @@ def quantise(heights: Float32Array, step: float) -> tuple[Int16Array, float, flo
     """
     values = np.asarray(heights, dtype=np.float64)
     known = np.isfinite(values)
-    if not known.any():
+    whole = bool(known.all())
+    seen = values if whole else values[known]
+    if not seen.size:
         return np.full(values.shape, NO_DATA_COUNT, dtype=np.int16), step, 0.0
-    low, high = float(values[known].min()), float(values[known].max())
+    low, high = float(seen.min()), float(seen.max())
     while (high - low) / step > 2 * MAX_COUNT - 2:
         step *= 2.0
     offset = float(np.rint((low + high) / 2.0 / step) * step) + 0.0  # + 0.0 makes -0.0 a 0.0
-    counts = np.rint((np.where(known, values, offset) - offset) / step)
-    return np.where(known, counts, NO_DATA_COUNT).astype(np.int16), step, offset
+    counts = np.rint(((values if whole else np.where(known, values, offset)) - offset) / step)
+    if not whole:
+        counts = np.where(known, counts, NO_DATA_COUNT)
+    return counts.astype(np.int16), step, offset
 
 
 def encode_counts(counts: Int16Array) -> bytes:
@@ -92,10 +100,7 @@ def encode_counts(counts: Int16Array) -> bytes:
     planes = np.empty(2 * nodes, dtype=np.uint8)
     planes_from_counts(np.ascontiguousarray(counts), planes)
     raw = planes.tobytes()
-    parameters = zstandard.ZstdCompressionParameters.from_level(
-        ZSTD_LEVEL, write_content_size=False, write_checksum=False, write_dict_id=False
-    )
-    compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj()
+    compressor = _of_thread.compressor.compressobj()
     high = compressor.compress(raw[:nodes]) + compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
     return high + compressor.compress(raw[nodes:]) + compressor.flush()
 
