@@ -7,6 +7,7 @@ import pytest
 
 from catalog.errors import NoSolutionError
 from optnav_cli.orbit.fit import fit_orbit
+from optnav_cli.orbit.settings import NoiseSettings
 from tests.optnav_cli.orbit.flights import flight, moved, problem
 
 
@@ -36,6 +37,11 @@ def test_an_orbit_is_better_than_its_fixes_and_says_how_good_it_is(lunar):
 def test_the_noise_in_the_weights_gives_the_same_orbit(lunar):
     one, other = (fit_orbit(problem(lunar.fixes), m, 1e-5) for m in ("white", "nuisance"))
     assert np.abs(one.trajectory.states - other.trajectory.states)[:, :3].max() < 0.01
+
+
+def test_a_whole_arc_of_which_nothing_is_doubted_takes_three_steps_at_most(lunar):
+    assert fitted(lunar.fixes).steps <= 3
+    assert fitted(lunar.fixes, noise=NoiseSettings("none")).steps <= 3
 
 
 def test_wrong_fixes_are_left_out_and_right_ones_stay(lunar):
