@@ -12,6 +12,7 @@ import os
 import pickle
 import signal
 import threading
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
@@ -30,6 +31,8 @@ R = TypeVar("R")
 HELD = (signal.SIGINT, signal.SIGTERM)
 # An interrupt that comes just before a wait begins is seen only when the wait is over.
 NOTICE_S = 0.5
+# Workers without work end within so long, and are looked at so often.
+GOODBYE_S, LOOK_S = 20.0, 0.02
 AHEAD = 2  # chunks a worker waits on or works at; more would only be lost by a kill
 # A worker that dies takes unfinished chunks with it; they are tried again while work gets done.
 DEATHS_WITHOUT_PROGRESS = 2
@@ -277,9 +280,18 @@ class LocalPool:
                 child.terminate()
 
     def close(self) -> None:
-        if self._executor is not None:
-            self._executor.shutdown()
-            self._executor = None
+        if self._executor is None:
+            return
+        workers = [c for c in multiprocessing.active_children() if c.pid not in self._others]
+        self._executor.shutdown(wait=False)
+        self._executor = None
+        until = time.monotonic() + GOODBYE_S
+        while any(worker.is_alive() for worker in workers):
+            # one that was killed as it took the goodbye keeps the others from theirs
+            if time.monotonic() > until:
+                for worker in workers:
+                    worker.kill()
+            time.sleep(LOOK_S)
 
 
 def workers_of(count: int | None) -> Workers:

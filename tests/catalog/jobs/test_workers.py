@@ -100,6 +100,20 @@ def test_a_worker_that_dies_is_replaced_and_nothing_is_lost(work, two, tmp_path)
     assert (tmp_path / "died").exists()
 
 
+def test_a_worker_that_does_not_answer_is_not_waited_for(work, monkeypatch):
+    monkeypatch.setattr("catalog.jobs.workers.GOODBYE_S", 1.0)
+    two, pids = workers_of(2), set()
+    while len(pids) < 2:
+        pids |= {pid for _, (pid, _) in two.run(work.process, {}, range(20))}
+    os.kill(min(pids), signal.SIGSTOP)
+    before = time.monotonic()
+    two.close()
+    assert time.monotonic() - before < 10.0
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+
+
 def test_workers_that_die_again_and_again_are_a_clear_error(work, two):
     with pytest.raises(WorkersError, match="fewer --workers"):
         list(two.run(work.die, {}, [1, 2]))
