@@ -26,11 +26,11 @@ DISTORTION_SIGMAS = 2.0
 # A place at the finest level that scores less is compared with those at the next two.
 CERTAIN_SCORE, COARSER_LEVELS = 0.85, 2
 # Albedo that follows relief is fitted in frames where, in the median of their points, it explains
-# so large a share of what matches leave over, and these score less. Where albedo does not follow
-# relief it explains 0.001 to 0.002 on highlands; under that of the LROC map 0.01 to 0.04, and 0.01
-# to 0.25 over maria; of Apollo 15's frame 0.03. Where albedo is even, 0.02 of the little that
-# scores of 0.98 leave over.
-MIN_ALBEDO_SHARE, MAX_ALBEDO_SCORE = 0.005, 0.95
+# so large a share of what matches leave over, and these score less. Over maria it explains 0.01 to
+# 0.25, on highlands under the LROC map 0.01 to 0.04, and where albedo does not follow relief 0.001
+# to 0.002; but 0.005 to 0.016 of the little that scores of 0.89 leave over, and then the place
+# moves by sigmas. Maria score up to 0.75; over more, shading has most of the contrast.
+MIN_ALBEDO_SHARE, MAX_ALBEDO_SCORE = 0.005, 0.8
 # Behind a blur: score times the root of the samples that were compared.
 MIN_STRENGTH = 3.0
 DAMAGED = Reason(ReasonCode.DAMAGED_PATCH, "patch damaged in the catalog")
