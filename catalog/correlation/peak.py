@@ -190,16 +190,13 @@ class WeightedFit(NamedTuple):
         return Remainder(-np.array(moved) / gain, covariance / gain**2)
 
 
-def refined_by_remainder(
-    patterns: Float32Array, patch: Float32Array, nodes: int, priors: Sequence[Prior] = ()
-) -> Remainder:
+def refined_by_remainder(patterns: Float32Array, patch: Float32Array, nodes: int) -> Remainder:
     """A match's place by generalised least squares, weighted by what the two do not share.
 
     patterns (k, n, n)  1, the template laid where it was found, its slopes t_x and t_y, and what
                         else the patch may show; high-passed, and zero where it is not compared
     patch (n, n)        as the patterns
     nodes               how many are compared
-    priors              of the patterns after the slopes
 
     The patch is fitted as p = const + a t + b t_x + c t_y + ...; its rest is taken for an error of
     the patch that is correlated as it is. Its spectrum S, from its correlation tapered over
@@ -211,7 +208,7 @@ def refined_by_remainder(
     template.
     """
     fit = weighted_fit(patterns, patch, nodes)
-    return NO_REMAINDER if fit is None else fit.remainder(priors)
+    return NO_REMAINDER if fit is None else fit.remainder()
 
 
 def weighted_fit(patterns: Float32Array, patch: Float32Array, nodes: int) -> WeightedFit | None:

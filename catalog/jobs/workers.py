@@ -275,14 +275,13 @@ class LocalPool:
         if self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
             self._executor = None
-        for child in multiprocessing.active_children():
-            if child.pid not in self._others:
-                child.terminate()
+        for worker in self._workers():
+            worker.terminate()
 
     def close(self) -> None:
         if self._executor is None:
             return
-        workers = [c for c in multiprocessing.active_children() if c.pid not in self._others]
+        workers = self._workers()
         self._executor.shutdown(wait=False)
         self._executor = None
         until = time.monotonic() + GOODBYE_S
@@ -292,6 +291,9 @@ class LocalPool:
                 for worker in workers:
                     worker.kill()
             time.sleep(LOOK_S)
+
+    def _workers(self) -> list[multiprocessing.process.BaseProcess]:
+        return [c for c in multiprocessing.active_children() if c.pid not in self._others]
 
 
 def workers_of(count: int | None) -> Workers:

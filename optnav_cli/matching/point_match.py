@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 
@@ -81,15 +81,21 @@ class SeenPart:
     samples: float
 
 
-class AlbedoFit(NamedTuple):
-    """A match on ground whose albedo may follow its relief.
+@dataclass(frozen=True, eq=False)
+class AlbedoFit:
+    """A match on ground whose albedo may follow its relief, laid out only where that is asked.
 
-    laid   its patterns
-    under  makes the match as it is under strengths of them
+    lay     lays the patterns of that albedo; None where they cannot be
+    placed  makes the match of a place in the nodes
     """
 
-    laid: ReliefMatch
-    under: Callable[[ReliefAlbedo], "PointMatch"]
+    lay: Callable[[], ReliefMatch | None]
+    placed: Callable[[Match], "PointMatch"]
+
+    @cached_property
+    def laid(self) -> ReliefMatch | None:
+        """The match with its patterns."""
+        return self.lay()
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,9 +124,10 @@ class PointMatch:
 
     def under(self, strengths: ReliefAlbedo) -> "PointMatch":
         """The match with albedo that follows relief so strongly, where that may be."""
-        if self.albedo is None:
+        if self.albedo is None or self.albedo.laid is None:
             return self
-        return replace(self.albedo.under(strengths), under_albedo=True)
+        at = self.albedo.laid.under(strengths)
+        return replace(self.albedo.placed(at), under_albedo=True)
 
 
 def match_point(
@@ -195,11 +202,12 @@ def match_point(
     coarse = posting >= MIN_ALBEDO_POSTING_M and not (blur_nodes or plan.interim or plan.soft_nodes)
     if found.reason or not coarse or template is not rendered:
         return found
-    patterns = relief_patterns(around, posting, rendered)
-    laid = relief_match(match, template, patterns, window, MARGIN_NODES)
-    if laid is None:
-        return found
-    return replace(found, albedo=AlbedoFit(laid, lambda strengths: placed(laid.under(strengths))))
+
+    def lay() -> ReliefMatch | None:
+        patterns = relief_patterns(around, posting, rendered)
+        return relief_match(match, template, patterns, window, MARGIN_NODES)
+
+    return replace(found, albedo=AlbedoFit(lay, placed))
 
 
 def nodes_a_sample(blur_nodes: float) -> float:

@@ -148,12 +148,11 @@ def _albedo_of(matches: list[PointMatch]) -> ReliefAlbedo | None:
     All that allow it are fitted with it, or none: points of which some are moved and others stay
     would no longer fit together.
     """
-    pairs = [(m.albedo.laid, m.score) for m in matches if m.albedo and m.score is not None]
-    if not pairs:
+    fits = [(m.albedo, m.score) for m in matches if m.albedo and m.score is not None]
+    if not fits or np.median([score for _, score in fits]) > MAX_ALBEDO_SCORE:
         return None
-    laid, scores = zip(*pairs, strict=True)
-    share = np.median([one.explained for one in laid])
-    if share < MIN_ALBEDO_SHARE or np.median(scores) > MAX_ALBEDO_SCORE:
+    laid = [fit.laid for fit, _ in fits if fit.laid is not None]
+    if not laid or np.median([one.explained for one in laid]) < MIN_ALBEDO_SHARE:
         return None
     return frame_strengths(laid)
 
