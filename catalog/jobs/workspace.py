@@ -346,8 +346,12 @@ class ChunkResults:
 
 
 def _put(workspace: Workspace, names: Sequence[str], data: Sequence[bytes]) -> None:
-    """Write the files of a chunk, its own result last: with it the chunk is done."""
-    for name, one in reversed([*zip(names, data)]):
+    """Write the files of a chunk, its own result first.
+
+    Killed between them, only what it made on its way is missing, and the stage that wants that
+    makes it; the other way round the whole chunk would be done again.
+    """
+    for name, one in zip(names, data, strict=False):
         workspace.put(name, one)
 
 

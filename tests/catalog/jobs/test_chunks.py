@@ -70,6 +70,28 @@ def test_what_a_function_makes_on_its_way_lies_beside_its_own(results, count):
     assert [thing.cell for thing in beside.all_records(2)] == [-1, -2, -3]
 
 
+def test_a_kill_between_the_files_of_a_chunk_costs_only_the_second(results, monkeypatch):
+    beside = ChunkResults(results.workspace, "write", "key", Thing)
+    put = results.workspace.put
+
+    def dying(name, data):
+        put(name, data)
+        raise KeyboardInterrupt
+
+    def run():
+        account = StageAccount("render")
+        with SilentProgress().stage("render", 1, "cell") as shown:
+            list(results.make(both, 0, [[1, 2]], SerialWorkers(), account, shown, beside))
+        return account.done, account.kept
+
+    monkeypatch.setattr(results.workspace, "put", dying)
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    monkeypatch.undo()
+    assert run() == (0, 1)
+    assert beside.all_records(1) is None  # left to the stage that wants them
+
+
 def test_worker_processes_hand_over_the_same(results):
     workers = workers_of(2)
     try:
