@@ -208,10 +208,17 @@ def _gdal(siblings: bool) -> Iterator[None]:
         return
     # pictures need no files beside them: world files, masks, metadata
     beside = "FALSE" if siblings else "EMPTY_DIR"
-    for name in DATA_FOLDERS:  # rasterio hands them to GDAL as UTF-8, and fails where they are not
+    settings = {
+        "GDAL_CACHEMAX": CACHE_BYTES,
+        "GDAL_DISABLE_READDIR_ON_OPEN": beside,
+        **OFFLINE,
+    }
+    # GDAL takes settings from the environment; rasterio reads them as UTF-8, and fails if they
+    # are not
+    for name in (*DATA_FOLDERS, *settings):
         if not _is_utf8(os.environ.get(name, "")):
             del os.environ[name]
-    with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES, GDAL_DISABLE_READDIR_ON_OPEN=beside, **OFFLINE):
+    with rasterio.Env(**settings):
         yield
 
 

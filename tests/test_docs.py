@@ -1,5 +1,6 @@
 """What people read agrees with what there is."""
 
+import itertools
 import os
 import re
 import shlex
@@ -89,6 +90,27 @@ def test_examples_use_only_options_that_exist() -> None:
         for word in words:
             if re.match(r"--?[a-z]", word):
                 assert word in known | {"--help", "-h"}, f"{line}: there is no {word}"
+
+
+def test_the_readme_s_commands_run_one_after_the_other_in_one_folder() -> None:
+    """What a command reads is there before, and none writes over another's output."""
+    there = {"moon.toml", "pictures", "truth.csv"}  # the reader's own
+    lines = re.findall(r"^optnav .* -o .*$|(?<=`)optnav [^`]* -o [^`]*(?=`)", README, re.MULTILINE)
+    assert len(lines) > 20
+    for line in lines:
+        words = shlex.split(line)[1:]
+        if "dem.tif" in words or words[-1] == "pictures":
+            continue  # other ways to what is there
+        command = max((name for name in COMMANDS if line.startswith(f"optnav {name} ")), key=len)
+        first = words[len(command.split())]
+        options = itertools.pairwise(words)
+        read = [word for name, word in options if name in ("--catalog", "--truth")]
+        read += [first] if command != "config template" else []
+        for name in read:
+            assert name.startswith("bundled:") or name.partition("/")[0] in there, line
+        output = words[words.index("-o") + 1]
+        assert output not in there, line
+        there.add(output)
 
 
 def test_makes_of_the_readmes_exist() -> None:

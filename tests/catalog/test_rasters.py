@@ -366,8 +366,10 @@ def test_a_pipe_in_the_place_of_metadata_is_not_waited_for(tmp_path: Path, name:
         open_raster(path, TERRAIN)
 
 
-@pytest.mark.parametrize("name", ["GDAL_DATA", "PROJ_DATA", "PROJ_LIB"])
-def test_a_folder_of_the_environment_that_is_no_utf_8_is_passed_over(
+@pytest.mark.parametrize(
+    "name", ["GDAL_DATA", "PROJ_DATA", "PROJ_LIB", "PROJ_NETWORK", "GDAL_CACHEMAX"]
+)
+def test_a_setting_of_the_environment_that_is_no_utf_8_is_passed_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     path = dem(tmp_path / "dem.tif")
