@@ -33,7 +33,22 @@ CERTAIN_SCORE, COARSER_LEVELS = 0.85, 2
 MIN_ALBEDO_SHARE, MAX_ALBEDO_SCORE = 0.005, 0.8
 # Behind a blur: score times the root of the samples that were compared.
 MIN_STRENGTH = 3.0
+# Chance scores go as one over the side of a template (`acceptance.ChanceLaw`): with so many nodes
+# one search of unrelated ground in a hundred reaches a least score of 0.3.
+SCORED_NODES = 67.0
 DAMAGED = Reason(ReasonCode.DAMAGED_PATCH, "patch damaged in the catalog")
+
+
+def least_score(min_score: float, template_nodes: int, coarser: bool = False) -> float:
+    """The score that a template must have: `min_score`, where it is wider as much less.
+
+    template_nodes  to a side
+    coarser  it stands in for one at a finer level: `min_score`, where it is narrower as much more.
+             One that the frame keeps small scores 0.4 anywhere, and where it is wrong its expected
+             error says nothing
+    """
+    share = SCORED_NODES / template_nodes
+    return min_score * (max(share, 1.0) if coarser else min(share, 1.0))
 
 
 def accepted(matches: list[PointMatch]) -> list[int]:
@@ -55,15 +70,17 @@ class _Search:
     known_m: FloatArray
     height_sigma_m: float
     roll_sigma: float
-    gates: MatchGates
 
     def finest(self, k: int) -> int:
         """The finest level of a point that the picture resolves."""
         postings = self.frame.points.postings_m(int(self.view.index[k]))
         return self.frame.finest_level(postings, float(self.view.metres_per_pixel[k]))
 
-    def match(self, k: int, finest: int) -> PointMatch:
-        """A point at the finest level, of those from `finest` on, that the pose allows."""
+    def match(self, k: int, finest: int, coarser: bool = False) -> PointMatch:
+        """A point at the finest level, of those from `finest` on, that the pose allows.
+
+        coarser  as for `least_score`
+        """
         frame, limits, index = self.frame, self.frame.settings.match, int(self.view.index[k])
         reference = frame.points.reference(index)
         if reference is None:
@@ -79,6 +96,9 @@ class _Search:
         scale_sigma = self.height_sigma_m / float(away)
         distortion = plan_distortion(template, self.roll_sigma, scale_sigma, DISTORTION_SIGMAS)
         blur = blur_nodes(posting, known)
+        least = limits.min_score
+        if not blur:  # behind one a template has few samples, whatever its side
+            least = least_score(least, template, coarser)
         plan = SearchPlan(level, template, room, sample, distortion, blur, level > finest)
         return match_point(
             reference,
@@ -88,7 +108,7 @@ class _Search:
             self.pose,
             frame.sun_body,
             frame.matcher,
-            self.gates,
+            MatchGates(least, limits.rival_ratio, MIN_STRENGTH),
         )
 
 
@@ -113,9 +133,8 @@ def match_all(
     searched_postings = settings.match.search_sigmas * float(np.median(uncertainty / known))
     boresight = pose.turn[2]
     height_sigma = float(np.sqrt(boresight @ covariance[:3, :3] @ boresight))
-    gates = MatchGates(settings.match.min_score, settings.match.rival_ratio, MIN_STRENGTH)
     roll_sigma = float(np.sqrt(covariance[5, 5]))
-    search = _Search(frame, view, pose, uncertainty, known, height_sigma, roll_sigma, gates)
+    search = _Search(frame, view, pose, uncertainty, known, height_sigma, roll_sigma)
     finest = [search.finest(k) for k in range(len(view))]
     first = [chosen.get(int(view.index[k]), level) for k, level in enumerate(finest)]
     matches = [search.match(k, level) for k, level in enumerate(first)]
@@ -172,7 +191,7 @@ def _with_best_levels(
         for k in doubtful:
             level = matches[k].level + step
             if level < len(search.frame.points.postings_m(int(search.view.index[k]))):
-                match = search.match(k, level)
+                match = search.match(k, level, coarser=True)
                 trial[k] = match if albedo is None else match.under(albedo)
                 if trial[k].level == level:
                     there.append(k)

@@ -13,6 +13,7 @@ from optnav_cli.navigation.control_points.acceptance import (
     rejection_of_matches,
     rejection_of_place,
 )
+from optnav_cli.navigation.control_points.solve import least_score
 
 DECADES = acceptance_limits().decades
 
@@ -53,6 +54,15 @@ def test_many_weak_matches_among_many_more_are_no_evidence():
     """Scores as a wrong pose found them with templates of 32 nodes: 23 of 116 'agreed'."""
     scores = np.linspace(0.31, 0.62, 23)
     assert log10_false_alarms(scores, 116, 32) < DECADES.least
+
+
+def test_narrow_templates_that_stand_in_for_finer_ones_score_what_chance_offers_once_in_a_hundred():
+    for nodes in (32, 46, 67):
+        least = least_score(0.3, nodes, coarser=True)
+        assert log10_false_alarms([least], 1, nodes) == pytest.approx(2.0, abs=0.05)
+        assert least_score(0.3, nodes) == 0.3
+    assert least_score(0.3, 80, coarser=True) == 0.3
+    assert log10_false_alarms([least_score(0.3, 80)], 1, 80) == pytest.approx(2.0, abs=0.05)
 
 
 def test_a_match_at_a_coarse_level_takes_no_evidence_from_the_others():
