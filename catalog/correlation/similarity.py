@@ -2,14 +2,15 @@
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.ncc import Filtered, cropped, filtered, high_pass, match_in, match_ncc
+from catalog.correlation.ncc import Filtered, filtered, high_pass, match_in, match_ncc
 from catalog.correlation.peak import Match
 from catalog.geometry.kernel import bare_kernel, kernel
 
@@ -143,16 +144,26 @@ def half_pair_scores(
     A score is that of the top of parabolas through the best place and those beside it: the best
     place of so few may lie half a node, one of the whole grids, from the true one.
     """
-    template = _halved(high_pass(reference))
+    template = _with_zeros(_halved(high_pass(reference)))
     half = Filtered(_halved(image.values), image.floor)
-    margin = margin_nodes // 2
-    contrast = _window_contrast(half, template.shape[0] - 2 * margin)
-    return [
-        _top_score(
-            cropped(turned(template, roll, scale, beyond=0.0), margin), half.values, contrast
-        )
-        for roll, scale in pairs
-    ]
+    size = template.shape[0] - 2 * (margin_nodes // 2 + 1)
+    contrast = _window_contrast(half, size)
+    parts = np.empty((len(pairs), size * size), np.float32)
+    _fill_turned(template.reshape(-1), *_turns(tuple(pairs), len(template), size), parts)
+    parts -= parts.mean(axis=1, keepdims=True)
+    lengths = np.sqrt(np.einsum("kn,kn->k", parts, parts))
+    windows = np.empty((contrast.size, size * size), np.float32)
+    _fill_windows(half.values, size, windows)
+    # one product of matrices has the sums of all pairs at all places
+    tops: list[float] = _top_scores(parts @ windows.T, contrast, lengths).tolist()
+    return tops
+
+
+def _with_zeros(grid: Float32Array) -> Float32Array:
+    """A grid (rows, cols) with a zero on every side."""
+    wider = np.zeros((grid.shape[0] + 2, grid.shape[1] + 2), np.float32)
+    wider[1:-1, 1:-1] = grid
+    return wider
 
 
 def _halved(grid: Float32Array) -> Float32Array:
@@ -161,48 +172,74 @@ def _halved(grid: Float32Array) -> Float32Array:
     return np.asarray(cv2.resize(grid, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-@kernel
-def _top_score(part: Float32Array, image: Float32Array, contrast: Float32Array) -> float:
-    """Correlation of a template at the top between its places in an image."""
-    rows, cols = contrast.shape
-    centred = part - np.float32(part.mean())
-    length = np.sqrt(np.square(centred).sum())
-    scores = np.empty((rows, cols))
-    _fill_scores(centred, image, contrast, np.empty(part.shape[0], np.float32), scores)
-    best = int(np.argmax(scores))
-    i, j = best // cols, best % cols
-    top = scores[i, j]
-    if 0 < i < rows - 1:
-        top += _rise(scores[i - 1, j], scores[i, j], scores[i + 1, j])
-    if 0 < j < cols - 1:
-        top += _rise(scores[i, j - 1], scores[i, j], scores[i, j + 1])
-    return float(top / max(length, 1e-30))
+@lru_cache(maxsize=8)
+def _turns(
+    pairs: tuple[tuple[float, float], ...], side: int, size: int
+) -> tuple[NDArray[np.uint32], Float32Array]:
+    """Where nodes of the middle (size, size) of a grid (side, side) come from when it is turned.
+
+    Returns the node above and before by pair and node, (k, m), counted row by row; and how far
+    behind and below it, (2, k, m). Beyond the grid its border goes on.
+    """
+    nodes = np.arange(size) - (size - 1) / 2.0
+    roll, scale = np.array(pairs).T[:, :, None, None]
+    along, across = np.cos(roll) / scale, np.sin(roll) / scale
+    places = np.stack(
+        [
+            along * nodes - across * nodes[:, None] + (side - 1) / 2.0,
+            across * nodes + along * nodes[:, None] + (side - 1) / 2.0,
+        ]
+    ).clip(0.0, side - 1.0)
+    whole = np.minimum(np.floor(places), side - 2.0)
+    at = (whole[1] * side + whole[0]).astype(np.uint32)
+    past = (places - whole).astype(np.float32)
+    return at.reshape(len(pairs), -1), past.reshape(2, len(pairs), -1)
 
 
 @bare_kernel
-def _fill_scores(
-    centred: Float32Array,
-    image: Float32Array,
-    contrast: Float32Array,
-    columns: Float32Array,
-    scores: FloatArray,
+def _fill_turned(
+    grid: Float32Array, at: NDArray[np.uint32], past: Float32Array, parts: Float32Array
 ) -> None:
-    """Fill scores (rows, cols) of a template (n, n) at its places, times its length.
+    """Fill parts (k, m) with a grid (n^2,) at places of `_turns`."""
+    side, one = np.uint32(math.sqrt(grid.size)), np.uint32(1)
+    for k in range(at.shape[0]):
+        line, nodes, behind, below = parts[k], at[k], past[0, k], past[1, k]
+        for c in range(line.size):
+            upper, lower = nodes[c], nodes[c] + side
+            a = grid[upper] + behind[c] * (grid[upper + one] - grid[upper])
+            b = grid[lower] + behind[c] * (grid[lower + one] - grid[lower])
+            line[c] = a + below[c] * (b - a)
 
-    columns  (n,) to work in: a sum a column, so that products are not added one after the other
-    """
-    size, (rows, cols) = centred.shape[0], contrast.shape
-    for i in range(rows):
-        for j in range(cols):
-            columns[:] = np.float32(0.0)
+
+@bare_kernel
+def _fill_windows(image: Float32Array, size: int, windows: Float32Array) -> None:
+    """Fill windows (places, size^2) with the squares of an image at all places, row by row."""
+    count = image.shape[0] - size + 1
+    for i in range(count):
+        for j in range(count):
+            into = windows[i * count + j]
             for r in range(size):
-                line, under = centred[r], image[i + r, j : j + size]
+                line, under = into[r * size : (r + 1) * size], image[i + r, j : j + size]
                 for c in range(size):
-                    columns[c] += line[c] * under[c]
-            total = 0.0
-            for c in range(size):
-                total += columns[c]
-            scores[i, j] = total / contrast[i, j]
+                    line[c] = under[c]
+
+
+@kernel
+def _top_scores(sums: Float32Array, contrast: Float32Array, lengths: Float32Array) -> FloatArray:
+    """Correlations of templates (k) at the top between their places; sums (k, rows cols)."""
+    rows, cols = contrast.shape
+    tops = np.empty(lengths.size)
+    for k in range(lengths.size):
+        scores = sums[k].reshape(rows, cols) / contrast
+        best = int(np.argmax(scores))
+        i, j = best // cols, best % cols
+        top = float(scores[i, j])
+        if 0 < i < rows - 1:
+            top += _rise(scores[i - 1, j], scores[i, j], scores[i + 1, j])
+        if 0 < j < cols - 1:
+            top += _rise(scores[i, j - 1], scores[i, j], scores[i, j + 1])
+        tops[k] = top / max(lengths[k], 1e-30)
+    return tops
 
 
 @kernel
@@ -244,16 +281,41 @@ def _greatest_ratio(sums: Float32Array, contrast: Float32Array) -> float:
 
 def _window_contrast(image: Filtered, size: int) -> Float32Array:
     """Root of summed squared differences to the mean of square windows; infinite without any."""
-    count = image.values.shape[0] - size + 1
-    mean, square = (
-        box(image.values, cv2.CV_64F, (size, size), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[
-            :count, :count
-        ]
-        for box in (cv2.boxFilter, cv2.sqrBoxFilter)
-    )
-    variance = square - mean * mean
-    variance[variance <= image.floor**2] = np.inf
-    return (size * np.sqrt(variance)).astype(np.float32)
+    rows, cols = image.values.shape
+    contrast = np.empty((rows - size + 1, cols - size + 1), np.float32)
+    _fill_contrast(image.values, size, image.floor, np.zeros((2, cols)), contrast)
+    return contrast
+
+
+@bare_kernel
+def _fill_contrast(
+    image: Float32Array, size: int, floor: float, columns: FloatArray, contrast: Float32Array
+) -> None:
+    """Fill `_window_contrast`; columns (2, cols), zeros on entry: sums over `size` rows."""
+    sums, squares = columns[0], columns[1]
+    nodes = size * size
+    for row in range(image.shape[0]):
+        first = row - size + 1
+        for c in range(sums.size):
+            value = np.float64(image[row, c])
+            sums[c] += value
+            squares[c] += value * value
+        if first < 0:
+            continue
+        total = square = 0.0
+        for c in range(sums.size):
+            total += sums[c]
+            square += squares[c]
+            if c >= size - 1:
+                variance = square / nodes - (total / nodes) ** 2
+                known = variance > floor * floor
+                contrast[first, c - size + 1] = math.sqrt(nodes * variance) if known else np.inf
+                total -= sums[c - size + 1]
+                square -= squares[c - size + 1]
+        for c in range(sums.size):
+            value = np.float64(image[first, c])
+            sums[c] -= value
+            squares[c] -= value * value
 
 
 def _parabola_peak(places: Sequence[float], values: FloatArray, index: int) -> float:

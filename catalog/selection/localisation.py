@@ -236,14 +236,89 @@ def _contrast(brightness: Float32Array) -> float:
     Where it has no holes and even sides, the local mean is taken on half as many nodes a side.
     """
     rows, cols = brightness.shape
-    if rows % 2 or cols % 2 or not np.isfinite(brightness).all():
-        # holes are zero after the high-pass and count as nodes without contrast
-        return float(cv2.meanStdDev(high_pass(brightness))[1][0, 0])
-    means = cv2.resize(brightness, (cols // 2, rows // 2), interpolation=cv2.INTER_AREA)
+    contrast = math.nan
+    if not (rows % 2 or cols % 2):
+        contrast = _contrast_by_halves(brightness, _half_taps())
+    if contrast == contrast:
+        return contrast
+    # holes are zero after the high-pass and count as nodes without contrast
+    return float(cv2.meanStdDev(high_pass(brightness))[1][0, 0])
+
+
+@cache
+def _half_taps() -> Float32Array:
+    """Weights of the blur of means of 2 x 2 nodes that is nearly the high-pass's of the nodes."""
     # means of two nodes and the way back between them blur by a variance of 1/4 and 3/4 node²
-    means = cv2.GaussianBlur(means, (0, 0), math.sqrt(HIGH_PASS_NODES**2 - 1.0) / 2.0)
-    local = cv2.resize(means, (cols, rows), interpolation=cv2.INTER_LINEAR)
-    return float(cv2.meanStdDev(brightness - local)[1][0, 0])
+    sigma = math.sqrt(HIGH_PASS_NODES**2 - 1.0) / 2.0
+    taps = cv2.getGaussianKernel(2 * math.ceil(4.0 * sigma) + 1, sigma)
+    return taps[:, 0].astype(np.float32)
+
+
+@bare_kernel
+def _mirrored(place: int, count: int) -> int:
+    """A place among so many, those beyond the ends mirrored about the end ones."""
+    while count > 1 and not 0 <= place < count:
+        place = -place if place < 0 else 2 * (count - 1) - place
+    return place if count > 1 else 0
+
+
+@bare_kernel
+def _blur(grid: Float32Array, taps: Float32Array, wide: Float32Array, out: Float32Array) -> None:
+    """Fill out (rows, cols) with a grid blurred, mirrored about its end nodes.
+
+    wide  (cols + taps.size - 1,) to work in
+    """
+    (rows, cols), reach = grid.shape, taps.size // 2
+    inner = wide[reach : reach + cols]
+    for r in range(rows):
+        inner[:] = np.float32(0.0)
+        for k in range(taps.size):
+            weight, other = taps[k], grid[_mirrored(r + k - reach, rows)]
+            for c in range(cols):
+                inner[c] += weight * other[c]
+        for k in range(reach):
+            wide[reach - 1 - k] = inner[_mirrored(-1 - k, cols)]
+            wide[reach + cols + k] = inner[_mirrored(cols + k, cols)]
+        line = out[r]
+        line[:] = np.float32(0.0)
+        for k in range(taps.size):
+            weight, along = taps[k], wide[k : k + cols]
+            for c in range(cols):
+                line[c] += weight * along[c]
+
+
+@kernel
+def _contrast_by_halves(brightness: Float32Array, taps: Float32Array) -> float:
+    """`_contrast` of a template with even sides; NaN with holes."""
+    rows, cols = brightness.shape
+    down, along = rows // 2, cols // 2
+    quarter, three = np.float32(0.25), np.float32(0.75)
+    means, soft = np.empty((down, along), np.float32), np.empty((down, along), np.float32)
+    for r in range(down):
+        upper, lower, line = brightness[2 * r], brightness[2 * r + 1], means[r]
+        for c in range(along):
+            line[c] = quarter * (upper[2 * c] + upper[2 * c + 1] + lower[2 * c] + lower[2 * c + 1])
+    _blur(means, taps, np.empty(along + taps.size - 1, np.float32), soft)
+    # sums a column, so that additions need not wait for each other
+    totals, squares = np.zeros(cols), np.zeros(cols)
+    between, local = np.empty(along + 2, np.float32), np.empty(cols, np.float32)
+    for r in range(rows):
+        near, here = soft[r // 2], brightness[r]
+        far = soft[min(max(r // 2 + (1 if r % 2 else -1), 0), down - 1)]
+        inner = between[1 : along + 1]
+        for c in range(along):
+            inner[c] = three * near[c] + quarter * far[c]
+        between[0], between[along + 1] = inner[0], inner[along - 1]
+        for c in range(along):
+            local[2 * c] = three * between[c + 1] + quarter * between[c]
+            local[2 * c + 1] = three * between[c + 1] + quarter * between[c + 2]
+        for c in range(cols):
+            value = np.float64(here[c] - local[c])
+            totals[c] += value
+            squares[c] += value * value
+    mean = totals.sum() / (rows * cols)
+    variance = squares.sum() / (rows * cols) - mean * mean
+    return math.sqrt(variance) if variance > 0.0 else variance * 0.0
 
 
 @dataclass(frozen=True)

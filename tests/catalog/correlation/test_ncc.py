@@ -7,6 +7,7 @@ from scipy import ndimage
 
 from catalog.correlation.ncc import (
     correlated,
+    cropped,
     filtered,
     high_pass,
     match_in,
@@ -14,7 +15,12 @@ from catalog.correlation.ncc import (
     with_remainder_covariance,
 )
 from catalog.correlation.peak import RIVAL_DISTANCE, locate_peak, refined_by_remainder
-from catalog.correlation.similarity import match_similarity, pair_scores, turned
+from catalog.correlation.similarity import (
+    half_pair_scores,
+    match_similarity,
+    pair_scores,
+    turned,
+)
 
 
 def texture(seed: int, size: int = 256, smooth: float = 1.5) -> np.ndarray:
@@ -224,6 +230,22 @@ def test_roll_and_scale_from_half_as_many_nodes_are_as_good(margin):
     whole, half = (np.sqrt(np.mean(np.square(errors[halved]), axis=0)) for halved in (False, True))
     assert (half < 1.25 * whole).all()
     assert np.mean(scores[True]) > np.mean(scores[False]) - 0.005
+
+
+@pytest.mark.parametrize("margin", [0, 4])
+def test_scores_from_half_the_nodes_are_those_of_the_turned_template_at_each_place(margin):
+    search, reference = cut(texture(21), 96), cut(texture(21), 48 + 2 * margin)
+    image = filtered(search, margin)
+    pairs = [(roll, scale) for roll in (-0.1, 0.0, 0.2) for scale in (0.9, 1.0, 1.1)]
+    small, wide = (
+        cv2.resize(grid, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        for grid in (high_pass(reference), image.values)
+    )
+    for pair, score in zip(pairs, half_pair_scores(reference, image, pairs, margin), strict=True):
+        template = cropped(turned(small, *pair, beyond=0.0), margin // 2)
+        surface = cv2.matchTemplate(wide, template, cv2.TM_CCOEFF_NORMED)
+        # the top lies between places: as high as the best of them, or a little higher
+        assert surface.max() - 1e-5 <= score <= surface.max() + 0.1
 
 
 def test_no_pair_scores_on_flat_parts_of_a_search():

@@ -6,7 +6,7 @@ import pytest
 import rasterio
 
 from catalog.config import resource
-from catalog.correlation.ncc import high_pass
+from catalog.correlation.ncc import HIGH_PASS_NODES, high_pass
 from catalog.rendering.map_view import render_map
 from catalog.selection.localisation import (
     azimuth_products,
@@ -162,6 +162,22 @@ def test_the_predicted_correlation_is_what_correlation_with_noise_gives(tycho):
     found = predict_match(picture, snr)
     assert found.correlation == pytest.approx(np.mean(scores), abs=0.03)
     assert found.score == found.error_px / found.correlation
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(64, 64), (48, 72), (16, 4), (2, 2)])
+def test_contrast_is_that_of_opencv_on_half_as_many_nodes(tycho, rows, cols):
+    picture = render_map(tycho, POSTING_M, sun(90.0, 30.0), radius_m=MOON_M)[:rows, :cols]
+    means = cv2.resize(picture, (cols // 2, rows // 2), interpolation=cv2.INTER_AREA)
+    means = cv2.GaussianBlur(means, (0, 0), np.sqrt(HIGH_PASS_NODES**2 - 1.0) / 2.0)
+    local = cv2.resize(means, (cols, rows), interpolation=cv2.INTER_LINEAR)
+    mean = picture[1:-1, 1:-1].astype(np.float64).mean() if rows > 2 else 1.0
+    contrast = (picture - local).astype(np.float64).std() / mean
+    found = predict_match(picture, 20.0).correlation
+    if rows > 2:
+        assert found == pytest.approx(contrast / np.hypot(contrast, 0.05), rel=1e-5)
+    holed = picture.copy()
+    holed[0, 0] = np.nan
+    assert np.isfinite(predict_match(holed, 20.0).correlation)
 
 
 def test_a_window_that_does_not_fit_is_refused(tycho):
