@@ -173,7 +173,7 @@ def match_ncc(reference: Float32Array, search: Float32Array, margin_nodes: int =
 
 def match_in(reference: Float32Array, image: Filtered, margin_nodes: int = 0) -> Match:
     """`match_ncc` in a search grid that is filtered already."""
-    nodes = int(np.isfinite(cropped(reference, margin_nodes)).sum())
+    nodes = int(np.count_nonzero(np.isfinite(cropped(reference, margin_nodes))))
     return locate_peak(correlated(filtered(reference, margin_nodes=margin_nodes), image), nodes)
 
 

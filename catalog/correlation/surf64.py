@@ -40,7 +40,7 @@ def _cell_sums(image: Float32Array, cell_px: int) -> Float32Array:
     last rows and columns, where a cell does not fit, stay zero. NaN counts as no response.
     """
     rows, cols = image.shape
-    haar, out = np.zeros((2, rows, 4, cols), np.float32)
+    haar, out = np.zeros((cell_px, 4, cols), np.float32), np.empty((rows, 4, cols), np.float32)
     room = np.zeros(4 * cols), np.empty(cols - cell_px, np.float32)
     _fill_cell_sums(image, cell_px, haar, *room, out)
     return out
@@ -55,14 +55,19 @@ def _fill_cell_sums(
     total: Float32Array,
     out: Float32Array,
 ) -> None:
-    """Fill `_cell_sums`; zeros on entry, haar alike, columns (4 cols,): sums over cell_px rows."""
+    """Fill `_cell_sums`.
+
+    haar     (cell_px, 4, cols)  responses of the rows that a cell spans; zeros on entry
+    columns  (4 cols,)  their sums; zeros on entry
+    """
     rows, cols = image.shape
     half, none = np.float32(0.5), np.float32(0.0)
     # single loops over slices, so that each is compiled to vector instructions
     for row in range(rows - 1):
         a, b = image[row, : cols - 1], image[row, 1:]
         d, e = image[row + 1, : cols - 1], image[row + 1, 1:]
-        dx, dy, size_x, size_y = haar[row, 0], haar[row, 1], haar[row, 2], haar[row, 3]
+        slot = haar[row % cell_px]
+        dx, dy, size_x, size_y = slot[0], slot[1], slot[2], slot[3]
         for c in range(cols - 1):
             value = half * ((b[c] + e[c]) - (a[c] + d[c]))
             dx[c] = value if value == value else none
@@ -72,7 +77,7 @@ def _fill_cell_sums(
         for c in range(cols - 1):
             size_x[c] = abs(dx[c])
             size_y[c] = abs(dy[c])
-        entering = haar[row].reshape(-1)
+        entering = slot.reshape(-1)
         for c in range(columns.size):
             columns[c] += entering[c]
         first = row - cell_px + 1
@@ -88,9 +93,11 @@ def _fill_cell_sums(
             into = out[first, k]
             for c in range(total.size):
                 into[c] = total[c]
-        leaving = haar[first].reshape(-1)
+            into[total.size :] = none
+        leaving = haar[first % cell_px].reshape(-1)
         for c in range(columns.size):
             columns[c] -= leaving[c]
+    out[rows - cell_px :] = none
 
 
 @kernel

@@ -1,6 +1,7 @@
 """A map grid rendered in its own projection: each node's brightness under a Sun and a view."""
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -18,7 +19,15 @@ from catalog.photometry.laws import (
 )
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE
 from catalog.rendering.shading import NEAR, NEAR_LUNAR, TABLE, TWO_TERMS, Lighting
-from catalog.rendering.shadow import KEPT_SUNS, NO_TABLE, Outer, illuminated, map_grid
+from catalog.rendering.shadow import (
+    KEPT_SUNS,
+    NO_TABLE,
+    Outer,
+    illuminated,
+    illuminated_levels,
+    map_grid,
+)
+from catalog.rendering.swept import ShadowField
 
 ZENITH = (0.0, 0.0, 1.0)
 
@@ -82,6 +91,27 @@ def render_map_quickly(
         outer,
         SMALL_TABLE_SIZE,
     )
+
+
+def render_levels(
+    grids: Sequence[tuple[Float32Array, float]],
+    count: int,
+    sun_local: ArrayLike,
+    *,
+    radius_m: float,
+    law: str,
+) -> tuple[list[Float32Array], list[ShadowField]]:
+    """`render_map` from straight up of the finest of some grids, each with all coarser ones about.
+
+    grids  (heights, posting_m) about one centre, finer first
+    count  how many are rendered
+    Returns also the field of shadows about each grid, for other grids about the same centre.
+    Raises ConfigError for an unknown law, ValueError for Hapke's, which wants a table for each.
+    """
+    light = _light(law, sun_local, ZENITH)
+    if light.made == TABLE:
+        raise ValueError(f"render_levels: {law} grids are rendered one by one")
+    return illuminated_levels([map_grid(*grid, radius_m) for grid in grids], light, count)
 
 
 def _light(law: str, sun_local: ArrayLike, view_local: ArrayLike) -> Lighting:

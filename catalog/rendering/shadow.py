@@ -16,12 +16,12 @@ from catalog.photometry.hapke import LUNAR
 from catalog.photometry.laws import NORMAL_ALBEDO, SurfaceLaw
 from catalog.rendering.hapke_table import slope_table
 from catalog.rendering.shading import FAR, LIMIT, LIT, TABLE, Lighting, MapGrid
-from catalog.rendering.swept import ShadowField, Sweep, sweep_grid
+from catalog.rendering.swept import NO_LIMITS, ShadowField, Sweep, sweep_grid, sweep_levels
 
 ZENITH: FloatArray = np.array([0.0, 0.0, 1.0])
 NO_LAW = SurfaceLaw(0, LUNAR, NORMAL_ALBEDO)
 NO_TABLE: Float32Array = np.empty((0, 0), np.float32)
-NO_FIELD = ShadowField(NO_TABLE, 1.0)
+NO_FIELD = ShadowField(NO_LIMITS, 1.0)
 # A place is rendered at several levels under one Sun; what follows from its direction takes longer
 # in the interpreter than a tenth of a small grid's shading.
 KEPT_SUNS = 64
@@ -78,8 +78,7 @@ def illuminated(
         field = (
             outer if isinstance(outer, ShadowField) else shadow_field(outer, light.sun, grid.radius)
         )
-    if sweep.swap:
-        light = light._replace(sun=_swapped(light.sun), camera=_swapped(light.camera))
+    light = _in_sweep(light, sweep)
     if light.made == TABLE and grid.heights.size < 3 * table_size**2:
         light = light._replace(made=FAR)
     elif light.made == TABLE:
@@ -108,6 +107,28 @@ def shadow_field(
             grid = map_grid(heights, posting, radius_m)
             field = ShadowField(sweep_grid(grid, sweep, field, light), grid.posting)
     return field
+
+
+def illuminated_levels(
+    grids: Sequence[MapGrid], light: Lighting, count: int
+) -> tuple[list[Float32Array], list[ShadowField]]:
+    """`illuminated` of the first `count` of some grids about one centre, under all coarser ones.
+
+    grids  finer first
+    light  of a law without a table
+    Returns also the field that the coarser ones throw over each grid.
+    """
+    sweep = _sweep_of(*light.sun.tolist())
+    if not sweep.casts or _is_set(light.sun, sweep, grids[0].radius):
+        return [illuminated(grid, light) for grid in grids[:count]], [NO_FIELD] * len(grids)
+    return sweep_levels(grids, sweep, _in_sweep(light, sweep), count)
+
+
+def _in_sweep(light: Lighting, sweep: Sweep) -> Lighting:
+    """With vectors as the sweep counts rows and columns."""
+    if not sweep.swap:
+        return light
+    return light._replace(sun=_swapped(light.sun), camera=_swapped(light.camera))
 
 
 def map_grid(heights: Float32Array, posting_m: float, radius_m: float) -> MapGrid:

@@ -63,23 +63,21 @@ def sun_samples(
         raise ValueError("sun_samples: at least one elevation and an even number of azimuths")
     top = min(highest, 0.98 * highest_sun(lat, max_declination))
     bottom = min(lowest, 0.25 * top)
-    heights = np.linspace(bottom, top, elevations)
-    bands = []
-    for elevation in heights.tolist():
+    half = azimuths // 2
+    suns = []
+    # in plain numbers: a library takes several times as long for so few
+    for number in range(elevations):
+        elevation = bottom + (top - bottom) * number / max(elevations - 1, 1)
         band = azimuth_band(lat, elevation, max_declination)
         if band is None:
             raise ValueError(
                 f"sun_samples: the Sun never stands {math.degrees(elevation):.1f} deg high at "
                 f"latitude {math.degrees(lat):.1f}; ask for an elevation that occurs"
             )
-        bands.append(band)
-    first, last = np.array(bands).T[:, :, None]
-    half = azimuths // 2
-    # the middles of equal parts: at a pole the two sides do not meet in one azimuth
-    east = first + (last - first) * ((np.arange(half) + 0.5) / half)
-    azimuth = np.concatenate([east, 2.0 * np.pi - east[:, ::-1]], axis=1)
-    out = np.empty((elevations, azimuths, 3))
-    across = np.cos(heights)[:, None]
-    out[..., 0], out[..., 1] = across * np.sin(azimuth), across * np.cos(azimuth)
-    out[..., 2] = np.sin(heights)[:, None]
-    return out.reshape(-1, 3)
+        first, last = band
+        # the middles of equal parts: at a pole the two sides do not meet in one azimuth
+        east = [first + (last - first) * ((k + 0.5) / half) for k in range(half)]
+        across, up = math.cos(elevation), math.sin(elevation)
+        for azimuth in (*east, *(2.0 * math.pi - angle for angle in reversed(east))):
+            suns.append((across * math.sin(azimuth), across * math.cos(azimuth), up))
+    return np.array(suns)

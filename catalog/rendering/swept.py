@@ -14,6 +14,7 @@ A row's shadow and brightness are made together, while it is in the processor's 
 sweep along rows goes over strips of columns that are turned into rows, and back.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,7 @@ from catalog.rendering.shading import (
     shade_two_terms,
 )
 
+NO_LIMITS: Float32Array = np.empty((0, 0), np.float32)
 NOTHING = np.float32(-1e30)  # height of no ground
 NODE_TOLERANCE_M = 1e-3  # float32 heights of 1e4 m are good to this
 # Heights are counted from the ray to the Sun through the grid's middle, so that lines need no
@@ -316,20 +318,67 @@ def _sweep(
             _turn_back(made, out[:, begin:end])
 
 
+@kernel
+def _sweep_levels(
+    grids: tuple[Float32Array, ...],
+    postings: FloatArray,
+    numbers: FloatArray,
+    made: int,
+    table: Float32Array,
+    limits: tuple[Float32Array, ...],
+    pictures: tuple[Float32Array, ...],
+) -> None:
+    """As `sweep_levels`; limits, of grids from the second on and an empty one, are filled."""
+    for k in range(len(grids) - 1, -1, -1):
+        numbers[0], numbers[8] = postings[k], postings[min(k + 1, postings.size - 1)]
+        if k < len(pictures):
+            numbers[9] = made
+            _sweep(grids[k], limits[k], table, numbers, pictures[k])
+        if k > 0:
+            numbers[9] = LIMIT
+            _sweep(grids[k], limits[k], table, numbers, limits[k - 1])
+
+
+def sweep_levels(
+    grids: Sequence[MapGrid], sweep: Sweep, light: Lighting, count: int
+) -> tuple[list[Float32Array], list[ShadowField]]:
+    """`sweep_grid` of the first `count` of some grids about one centre, under all coarser ones.
+
+    grids  finer first
+    Returns also what the coarser ones throw over each grid.
+    """
+    pictures = [np.empty_like(grid.heights) for grid in grids[:count]]
+    limits = [*(np.empty_like(grid.heights) for grid in grids[1:]), NO_LIMITS]
+    postings = [grid.posting for grid in grids]
+    numbers = _numbers(grids[0], sweep, 1.0, light)
+    _sweep_levels(
+        tuple(grid.heights for grid in grids), np.array(postings), numbers, light.made,
+        light.table, tuple(limits), tuple(pictures),
+    )  # fmt: skip
+    return pictures, [ShadowField(*field) for field in zip(limits, [*postings[1:], 1.0])]
+
+
+def _numbers(grid: MapGrid, sweep: Sweep, outer_m: float, light: Lighting) -> FloatArray:
+    """All that `_sweep` takes but for arrays; outer_m: posting of what lies beyond the grid.
+
+    One array: a kernel takes 40 us to be handed them as the tuples they are in.
+    """
+    law = light.law
+    return np.array(
+        [
+            *grid[1:], *sweep, outer_m,
+            light.made, *light.sun.tolist(), *light.camera.tolist(), law.number,
+            law.albedo, *law.surface, light.weight,
+        ]
+    )  # fmt: skip
+
+
 def sweep_grid(grid: MapGrid, sweep: Sweep, outer: ShadowField, light: Lighting) -> Float32Array:
     """What `light` asks for, of every node of a grid (n, n).
 
     With swap, vectors in `light` have x against rows and y against columns.
     """
-    law = light.law
-    # one array for all numbers: a kernel takes 40 us to be handed them as the tuples they are in
-    numbers = np.array(
-        [
-            *grid[1:], *sweep, outer.posting_m,
-            light.made, *light.sun.tolist(), *light.camera.tolist(), law.number,
-            law.albedo, *law.surface, light.weight,
-        ]
-    )  # fmt: skip
+    numbers = _numbers(grid, sweep, outer.posting_m, light)
     # of the library, which takes large arrays in large pages; the kernel's own would not be
     out = np.empty(grid.heights.shape, np.float32)
     _sweep(grid.heights, outer.limits, light.table, numbers, out)

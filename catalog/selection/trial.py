@@ -20,8 +20,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.correlation.ncc import match_ncc, thinned, thinning
 from catalog.correlation.similarity import match_similarity
 from catalog.geometry.kernel import kernel
-from catalog.rendering.map_view import render_map, render_map_quickly
-from catalog.rendering.shadow import shadow_field
+from catalog.rendering.map_view import render_levels, render_map_quickly
 
 FINER = 2  # the picture's ground has this many nodes to one of the reference
 PSF_SIGMA_PX = 0.7
@@ -135,20 +134,24 @@ def draw_circumstances(
 
     suns  (n, 3)  Sun directions to choose from
     """
-    roll, scale, off_nadir = rng.uniform(-1.0, 1.0, 3)
-    azimuth = rng.uniform(0.0, 2.0 * np.pi)
-    angle = abs(off_nadir) * np.radians(max_off_nadir_deg)
-    across = np.sin(angle)
-    view = np.array([across * np.sin(azimuth), across * np.cos(azimuth), np.cos(angle)])
+    # in plain numbers: the library takes several times as long to scale so few
+    roll, scale, off_nadir, turn = rng.random(4).tolist()
+    sun_local = np.asarray(suns[rng.integers(len(suns))], dtype=np.float64)
+    east, north, loud = rng.random(3).tolist()
+    azimuth = 2.0 * math.pi * turn
+    angle = abs(2.0 * off_nadir - 1.0) * math.radians(max_off_nadir_deg)
+    across = math.sin(angle)
+    view = np.array([across * math.sin(azimuth), across * math.cos(azimuth), math.cos(angle)])
+    shift = [MAX_SHIFT_NODES * (2.0 * share - 1.0) * posting_m for share in (east, north)]
     return Circumstances(
-        sun_local=np.asarray(suns[rng.integers(len(suns))], dtype=np.float64),
+        sun_local=sun_local,
         view_local=view,
-        roll=float(np.radians(roll * max_roll_deg)),
-        scale=float(1.0 + scale * max_scale),
-        stretch_azimuth=float(azimuth),
-        stretch=float(np.cos(angle)),
-        shift_m=rng.uniform(-MAX_SHIFT_NODES, MAX_SHIFT_NODES, 2) * posting_m,
-        snr=float(np.exp(rng.uniform(np.log(snr[0]), np.log(snr[1])))),
+        roll=math.radians((2.0 * roll - 1.0) * max_roll_deg),
+        scale=1.0 + (2.0 * scale - 1.0) * max_scale,
+        stretch_azimuth=azimuth,
+        stretch=math.cos(angle),
+        shift_m=np.array(shift),
+        snr=snr[0] * (snr[1] / snr[0]) ** loud,
     )
 
 
@@ -189,16 +192,14 @@ def run_trial(
     picture_from_ground = np.eye(2)  # as estimated so far
     place = np.zeros(2)  # the point's estimated place in the picture, m east and north
     sun, view = circumstances.sun_local, circumstances.view_local
-    around = shadow_field(outer, sun, radius_m)
+    grids = [*((level.reference, level.posting_m) for level in levels), *outer]
+    templates, around = render_levels(
+        grids, len(levels), sun, radius_m=radius_m, law="lommel_seeliger"
+    )
     for number in range(len(levels) - 1, -1, -1):
-        level = levels[number]
+        level, posting_m = levels[number], levels[number].posting_m
         coarsest = number == len(levels) - 1
-        if not coarsest:  # one grid further than the level before it
-            above = levels[number + 1]
-            around = shadow_field([(above.reference, above.posting_m)], sun, radius_m, around)
-        ground, posting_m, law = level.reference, level.posting_m, "lommel_seeliger"
-        template = render_map(ground, posting_m, sun, law=law, radius_m=radius_m, outer=around)
-        template = _centre(template, search.template_nodes)
+        template = _centre(templates[number], search.template_nodes)
         room = search.coarse_nodes if coarsest else search.fine_nodes
         window = search.template_nodes + 2 * room
         offset = ground_from_picture @ (place - circumstances.shift_m) / posting_m
@@ -207,7 +208,7 @@ def run_trial(
         side = side_under(truth_from_picture, offset, window, level.truth.shape[0])
         truth, finer_m = _centre(level.truth, side), posting_m / FINER
         seen = render_map_quickly(
-            truth, finer_m, sun, view_local=view, radius_m=radius_m, outer=around
+            truth, finer_m, sun, view_local=view, radius_m=radius_m, outer=around[number]
         )
         origin, averaging = offset + (side - 1) / 2.0, round(posting_m / levels[0].posting_m)
         picture = picture_of(

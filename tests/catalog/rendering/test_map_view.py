@@ -13,7 +13,7 @@ from catalog.photometry import hapke
 from catalog.photometry.hapke import LUNAR
 from catalog.photometry.laws import HAPKE, LAW_NUMBERS, NORMAL_ALBEDO, SurfaceLaw
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE
-from catalog.rendering.map_view import render_map
+from catalog.rendering.map_view import render_levels, render_map
 from catalog.rendering.shading import NEAR, TABLE, Lighting
 from catalog.rendering.shadow import NO_FIELD, NO_TABLE, illuminated, map_grid
 from catalog.rendering.swept import Sweep, sweep_grid
@@ -152,6 +152,27 @@ def test_a_table_filled_for_one_ground_serves_another(tycho):
     np.testing.assert_array_equal(shaded(tycho, table), shaded(tycho, fresh))
     full = shaded((0.05 * tycho).astype(np.float32), fresh)
     np.testing.assert_array_equal(full, gentle)
+
+
+@pytest.mark.parametrize("azimuth_deg", [20.0, 110.0, 200.0, 290.0])
+def test_levels_rendered_at_once_are_those_rendered_one_by_one(tycho, azimuth_deg):
+    """Each under all coarser ones; the fields serve other grids about the same centre."""
+    towards = sun(12.0, azimuth_deg)
+    grids = [(tycho[::step, ::step][:80, :80].copy(), step * POSTING_M) for step in (1, 2, 4)]
+    given = {"radius_m": MOON_M, "law": "lommel_seeliger"}
+    pictures, fields = render_levels(grids, 2, towards, **given)
+    for k, picture in enumerate(pictures):
+        alone = render_map(*grids[k], towards, outer=grids[k + 1 :], **given)
+        np.testing.assert_array_equal(picture, alone)
+    seen = render_map(*grids[0], towards, radius_m=MOON_M, outer=fields[0])
+    np.testing.assert_array_equal(
+        seen, render_map(*grids[0], towards, radius_m=MOON_M, outer=grids[1:])
+    )
+    overhead, _ = render_levels(grids, 1, (0.0, 0.0, 1.0), **given)
+    alone = render_map(*grids[0], (0.0, 0.0, 1.0), outer=grids[1:], **given)
+    np.testing.assert_array_equal(overhead[0], alone)
+    with pytest.raises(ValueError, match="one by one"):
+        render_levels(grids, 2, towards, radius_m=MOON_M, law="hapke")
 
 
 def test_slopes_facing_the_sun_are_the_brighter_ones():
