@@ -343,7 +343,7 @@ def project_body_points(
     """Write pixels (n, 2) of points (n, 3) in the body frame, seen from a position (3,)."""
     r = camera_from_body
     count = points.shape[0]
-    across2, depth = np.empty(BLOCK), np.empty(BLOCK)
+    xs, ys, zs, scales = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     for first in range(0, count, BLOCK):
         size = min(BLOCK, count - first)
         for k in range(size):
@@ -351,21 +351,22 @@ def project_body_points(
             dx = points[i, 0] - position[0]
             dy = points[i, 1] - position[1]
             dz = points[i, 2] - position[2]
-            x = r[0, 0] * dx + r[0, 1] * dy + r[0, 2] * dz
-            y = r[1, 0] * dx + r[1, 1] * dy + r[1, 2] * dz
-            z = r[2, 0] * dx + r[2, 1] * dy + r[2, 2] * dz
-            if model != FISHEYE:
-                pixels[i, 0], pixels[i, 1] = _pixel(model, p, x, y, z)
-            else:
-                pixels[i, 0], pixels[i, 1], across2[k], depth[k] = x, y, x * x + y * y, z
-        if model != FISHEYE:
-            continue
-        # a loop of its own over plain arrays: the processor takes several points at once
-        for k in range(size):
-            across2[k] = _fisheye_scale(p, across2[k], depth[k])
+            xs[k] = r[0, 0] * dx + r[0, 1] * dy + r[0, 2] * dz
+            ys[k] = r[1, 0] * dx + r[1, 1] * dy + r[1, 2] * dz
+            zs[k] = r[2, 0] * dx + r[2, 1] * dy + r[2, 2] * dz
+        # loops of their own over plain arrays: the processor takes several points at once
+        if model == PINHOLE:
+            for k in range(size):
+                a, b = xs[k] / zs[k], ys[k] / zs[k]
+                seen = (zs[k] > 0.0) & (a * a + b * b <= p[LIMIT])
+                a, b, _, _, _ = _brown(p, a, b)
+                xs[k], ys[k], scales[k] = a, b, 1.0 if seen else math.nan
+        else:
+            for k in range(size):
+                scales[k] = _fisheye_scale(p, xs[k] * xs[k] + ys[k] * ys[k], zs[k])
         for k in range(size):
             i = first + k
-            u, v = p[0] * (across2[k] * pixels[i, 0]), p[0] * (across2[k] * pixels[i, 1])
+            u, v = p[0] * (scales[k] * xs[k]), p[0] * (scales[k] * ys[k])
             inside = u * u + v * v <= p[CIRCLE] * p[CIRCLE]
             pixels[i, 0] = u + p[1] if inside else math.nan
             pixels[i, 1] = p[ASPECT] * v + p[2] if inside else math.nan

@@ -5,7 +5,10 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.grid import bicubic_at
-from catalog.geometry.kernel import bare_kernel
+from catalog.geometry.kernel import bare_kernel, kernel
+
+BLOCK = 512  # places that are sampled side by side
+NONE = np.uint32(2**32 - 1)  # no row of a picture
 
 
 class PicturePyramid:
@@ -48,7 +51,7 @@ class PicturePyramid:
         return self._levels[factor]
 
 
-@bare_kernel
+@kernel
 def _sample(
     level: Float32Array,
     pixels: FloatArray,
@@ -66,25 +69,46 @@ def _sample(
     rows, cols = level.shape
     # the centre of the first block of `factor` pixels lies at (factor - 1) / 2
     shift, inverse = (factor - 1) / 2.0, 1.0 / factor
-    for i in range(out.size):
-        x, y = pixels[i, 0], pixels[i, 1]
-        if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
-            continue
-        # the last rows and columns that fill no whole block take the nearest block's value
-        row, col = min((y - shift) * inverse, rows - 0.5), min((x - shift) * inverse, cols - 0.5)
-        if not (1.0 <= row < rows - 2.0 and 1.0 <= col < cols - 2.0):
-            out[i] = bicubic_at(level, row, col)
-            continue
-        # as bicubic_at, in single precision, which a picture is stored in: half the time
-        r, c = int(row), int(col)
-        w0, w1, w2, w3 = _weights(np.float32(row - r))
-        x0, x1, x2, x3 = _weights(np.float32(col - c))
-        a, b, d, e = level[r - 1], level[r], level[r + 1], level[r + 2]
-        value = w0 * (x0 * a[c - 1] + x1 * a[c] + x2 * a[c + 1] + x3 * a[c + 2])
-        value += w1 * (x0 * b[c - 1] + x1 * b[c] + x2 * b[c + 1] + x3 * b[c + 2])
-        value += w2 * (x0 * d[c - 1] + x1 * d[c] + x2 * d[c + 1] + x3 * d[c + 2])
-        value += w3 * (x0 * e[c - 1] + x1 * e[c] + x2 * e[c + 1] + x3 * e[c + 2])
-        out[i] = value
+    row, col = np.empty(BLOCK), np.empty(BLOCK)
+    top, left = np.empty(BLOCK, np.uint32), np.empty(BLOCK, np.uint32)
+    down, across = np.empty((4, BLOCK), np.float32), np.empty((4, BLOCK), np.float32)
+    one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
+    for first in range(0, out.size, BLOCK):
+        size = min(BLOCK, out.size - first)
+        # loops of their own over plain arrays: the processor takes several places at once
+        for k in range(size):
+            x, y = pixels[first + k, 0], pixels[first + k, 1]
+            seen = (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
+            # the last rows and columns that fill no whole block take the nearest block's value
+            row[k] = min((y - shift) * inverse, rows - 0.5) if seen else np.nan
+            col[k] = min((x - shift) * inverse, cols - 0.5) if seen else np.nan
+        for k in range(size):
+            inner = (row[k] >= 1.0) & (row[k] < rows - 2.0)
+            inner &= (col[k] >= 1.0) & (col[k] < cols - 2.0)
+            r, c = np.int32(row[k] if inner else 1.0), np.int32(col[k] if inner else 1.0)
+            top[k], left[k] = r - 1 if inner else NONE, c - 1
+            down[0, k], across[0, k] = np.float32(row[k] - r), np.float32(col[k] - c)
+        for k in range(size):
+            weights = _weights(down[0, k])
+            down[0, k], down[1, k], down[2, k], down[3, k] = weights
+            weights = _weights(across[0, k])
+            across[0, k], across[1, k], across[2, k], across[3, k] = weights
+        for k in range(size):
+            if top[k] == NONE:
+                if row[k] == row[k]:
+                    out[first + k] = bicubic_at(level, row[k], col[k])
+                continue
+            # as bicubic_at, in single precision, which a picture is stored in: half the time;
+            # indices are unsigned: none counts from the end
+            i, j = np.uint64(top[k]), np.uint64(left[k])
+            x0, x1, x2, x3 = across[0, k], across[1, k], across[2, k], across[3, k]
+            value = np.float32(0.0)
+            for w in range(4):
+                a, b = level[i, j], level[i, j + one]
+                d, e = level[i, j + two], level[i, j + three]
+                value += down[w, k] * (x0 * a + x1 * b + x2 * d + x3 * e)
+                i += one
+            out[first + k] = value
 
 
 @bare_kernel
