@@ -19,7 +19,7 @@ import numpy as np
 import scipy.fft
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel, kernel
 
 # Nodes of high-passed lunar relief that share one independent brightness error: fitted to the
 # errors of 900 matches on simulated frames, with scores from 0.4 to 0.97.
@@ -30,9 +30,14 @@ CORRELATED_NODES = 28
 # and to a share of its mean: with less of either, few frequencies take all the weight.
 LAG_NODES = 2.5
 SPECTRUM_FLOOR = 0.5
+MAX_LAG = 15  # beyond it the taper is below 2e-9
 # Waves are damped as by a blur of this sigma, nodes: the shortest ones are moved by local errors of
 # the relief, which do not average. Chosen with the two above on 40 frames of real_unk_200km.
 DAMPED_NODES = 0.6
+# Nodes about one that `laid_patterns` needs.
+REACH = 4
+# Coefficients by power of the polynomial through nodes -2 to 3.
+_THROUGH_SIX = np.linalg.inv(np.vander(np.arange(-2.0, 4.0), increasing=True))
 # A rival nearer than this many nodes is the same peak.
 RIVAL_DISTANCE = 5
 
@@ -213,27 +218,33 @@ def refined_by_remainder(patterns: Float32Array, patch: Float32Array, nodes: int
 
 def weighted_fit(patterns: Float32Array, patch: Float32Array, nodes: int) -> WeightedFit | None:
     """The fit of `refined_by_remainder`; None where the patch does not show the template."""
-    patch = np.ascontiguousarray(patch)  # one kind of array, so that kernels are compiled once
-    first = plain_fit(patterns, patch)
+    grids = np.concatenate([patterns, patch[None]])
+    first = _strengths(grids)
     if first is None or not first[1] > 0.0:
         return None
+    grids[-1] = rest_of(patterns, grids[-1], first)
     # zeros about the grids keep opposite borders apart as far as errors are correlated
     side = cv2.getOptimalDFTSize(patch.shape[0] + CORRELATED_NODES)
-    grids = np.concatenate([patterns[1:], rest_of(patterns, patch, first)[None]])
-    waves = scipy.fft.rfft2(grids, s=(side, side))
+    waves = scipy.fft.rfft2(grids[1:], s=(side, side))
     power = np.square(waves[-1].real) + np.square(waves[-1].imag)
-    correlation = scipy.fft.irfft2(power, s=(side, side)) / np.float32(nodes)
-    spectrum = scipy.fft.rfft2(correlation * _lag_taper(side)).real
-    # the mean over all frequencies is the correlation at no lag; a perfect match leaves nothing
-    floor = SPECTRUM_FLOOR * float(correlation[0, 0]) + 1e-30
-    normal, right, scatter = _weighted_sums(waves.view(np.float32), power, spectrum, floor)
+    spectrum, mean = _smoothed(power)
+    # a perfect match leaves nothing
+    floor = SPECTRUM_FLOOR * mean / nodes + 1e-30
+    normal, right, scatter = _weighted_sums(
+        waves.view(np.float32), power, spectrum / np.float32(nodes), floor
+    )
     scatter /= nodes
     return WeightedFit(first, normal, right, scatter)
 
 
 def plain_fit(patterns: Float32Array, patch: Float32Array) -> FloatArray | None:
     """How strong patterns (k, n, n) are in a patch (n, n), (k,); None where one is nowhere."""
-    sums = _products(np.concatenate([patterns, patch[None]]))
+    return _strengths(np.concatenate([patterns, patch[None]]))
+
+
+def _strengths(grids: Float32Array) -> FloatArray | None:
+    """`plain_fit` of patterns with the patch behind them (k + 1, n, n)."""
+    sums = _products(grids)
     normal = sums[:-1, :-1]
     if not normal.diagonal().min() > 1e-30:
         return None
@@ -254,12 +265,41 @@ def _inverse_of_normal(normal: FloatArray) -> FloatArray | None:
     return inverse
 
 
+def _smoothed(power: Float32Array) -> tuple[Float32Array, float]:
+    """A power spectrum (n, n // 2 + 1) as its correlation's taper by lags leaves it; its mean.
+
+    By the few lags that the taper leaves, to which and back matrices are quicker than transforms.
+    """
+    side, half = power.shape
+    # the columns stand for those of the other half of the plane too
+    folded = power * _columns_meant(side)
+    # of a row and a column that both turn to their opposites the sines' product stays, but the
+    # power's opposite is itself: cosines go with cosines alone, and sines with sines
+    smooth = np.zeros_like(power)
+    for waves in _lag_waves(side):
+        along = waves[:, :half]
+        smooth += waves.T @ ((waves @ folded @ along.T) @ along)
+    return smooth, float(folded.sum()) / side**2
+
+
 @cache
-def _lag_taper(side: int) -> Float32Array:
-    """Weights (side, side) of a correlation by its lags, which wrap."""
-    lag = np.minimum(np.arange(side), side - np.arange(side)) / LAG_NODES
-    one = np.exp(-0.5 * lag * lag)
-    return np.outer(one, one).astype(np.float32)
+def _columns_meant(side: int) -> Float32Array:
+    """How many columns of a whole spectrum each of its half (side // 2 + 1,) stands for."""
+    meant = np.full(side // 2 + 1, 2.0, np.float32)
+    meant[0] = 1.0
+    if side % 2 == 0:
+        meant[-1] = 1.0
+    return meant
+
+
+@cache
+def _lag_waves(side: int) -> Float32Array:
+    """Cosines and sines (2, MAX_LAG + 1, side) of lags by frequency, with the root of the taper."""
+    lags = np.arange(min(MAX_LAG, (side - 1) // 2) + 1)
+    taper = np.exp(-0.25 * (lags / LAG_NODES) ** 2) * np.sqrt(np.where(lags == 0, 1.0, 2.0) / side)
+    angles = 2.0 * np.pi / side * np.outer(lags, np.arange(side))
+    waves: FloatArray = taper[:, None] * np.stack([np.cos(angles), np.sin(angles)])
+    return waves.astype(np.float32)
 
 
 @kernel
@@ -332,3 +372,75 @@ def _weighted_sums(
             normal[a, b] = normal[b, a] = sums[a, b, 0].sum() * scale
             scatter[a, b] = scatter[b, a] = sums[a, b, 1].sum() * scale
     return normal, right, scatter
+
+
+def laid_patterns(
+    match: Match, template: Float32Array, margin_nodes: int, others: Sequence[Float32Array] = ()
+) -> Float32Array:
+    """Patterns (4 + k, n, n) of `refined_by_remainder`, laid where a template was found.
+
+    template, others  k of them, high-passed, with a margin that is taken off
+    By polynomials through six nodes a side: slopes of neighbours' differences would be too small
+    for short waves, which move a place by too much.
+    """
+    away = np.rint(match.dx) - match.dx, np.rint(match.dy) - match.dy
+    along, down = (_six_nodes(by) for by in away)
+    shape = tuple(side - 2 * margin_nodes for side in template.shape)
+    if margin_nodes < REACH:
+        padded = [np.pad(grid, REACH, mode="reflect") for grid in (template, *others)]
+        template, others = padded[0], padded[1:]
+        margin_nodes += REACH
+    laid = np.ones((4 + len(others), *shape), np.float32)
+    moved = np.empty((shape[0] + 5, shape[1]), np.float32)
+    _lay(template, margin_nodes, along, down, moved, laid[1:4])
+    for number, other in enumerate(others):
+        _lay(other, margin_nodes, along, down, moved, laid[4 + number : 5 + number])
+    return laid
+
+
+@bare_kernel
+def _lay(
+    grid: Float32Array,
+    margin: int,
+    along: tuple[int, Float32Array],
+    down: tuple[int, Float32Array],
+    moved: Float32Array,
+    laid: Float32Array,
+) -> None:
+    """Fill in a grid, moved as `_six_nodes` weighs along rows and down columns, and its slopes.
+
+    moved (n + 5, m)     to work in
+    laid (1 or 3, n, m)  the grid without its margin, then its slopes to x and y where they fit
+    """
+    count, rows, cols = laid.shape
+    left, top = margin + along[0], margin + down[0]
+    for k in range(count):
+        w = along[1][1 if k == 1 else 0]
+        # as single numbers, which no array that is filled can change
+        u, v, x, y, z, o = w[0], w[1], w[2], w[3], w[4], w[5]
+        for r in range(rows + 5):
+            to = moved[r]
+            a, b = grid[top + r, left:], grid[top + r, left + 1 :]
+            d, e = grid[top + r, left + 2 :], grid[top + r, left + 3 :]
+            f, g = grid[top + r, left + 4 :], grid[top + r, left + 5 :]
+            for c in range(cols):
+                to[c] = u * a[c] + v * b[c] + x * d[c] + (y * e[c] + z * f[c] + o * g[c])
+        w = down[1][1 if k == 2 else 0]
+        u, v, x, y, z, o = w[0], w[1], w[2], w[3], w[4], w[5]
+        for r in range(rows):
+            to = laid[k, r]
+            a, b, d = moved[r], moved[r + 1], moved[r + 2]
+            e, f, g = moved[r + 3], moved[r + 4], moved[r + 5]
+            for c in range(cols):
+                to[c] = u * a[c] + v * b[c] + x * d[c] + (y * e[c] + z * f[c] + o * g[c])
+
+
+def _six_nodes(shift: float) -> tuple[int, Float32Array]:
+    """Which node, from one on, is the first of six, and their weights for value and slope (2, 6).
+
+    shift  where value and slope are wanted, nodes from that one; less than two
+    """
+    whole = int(np.floor(shift))
+    powers = (shift - whole) ** np.arange(6.0)
+    slope = (np.arange(1.0, 6.0) * powers[:5]) @ _THROUGH_SIX[1:]
+    return whole - 2, np.stack([powers @ _THROUGH_SIX, slope]).astype(np.float32)

@@ -24,11 +24,12 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.config import Positive, load_toml, resource
-from catalog.correlation.ncc import cropped, high_passed, laid_at, laid_patterns, stepped
+from catalog.correlation.ncc import cropped, high_passed, laid_at, stepped
 from catalog.correlation.peak import (
     Match,
     Prior,
     WeightedFit,
+    laid_patterns,
     plain_fit,
     rest_of,
     weighted_fit,

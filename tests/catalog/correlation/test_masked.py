@@ -71,8 +71,9 @@ def test_a_grid_is_compared_in_part_where_it_is_cut_and_whole_where_it_is_not():
     for grid, match in ((search, match_ncc), (cut, match_masked)):
         plain = match(template, grid, MARGIN)
         again = match_cut(template, grid, filtered(grid, MARGIN), MARGIN, remainder=False)
-        assert again[:4] == plain[:4]
-        assert np.array_equal(again.covariance, plain.covariance)
+        # scores of few places are summed one by one, not by transforms: rounding alone differs
+        assert again[:4] == pytest.approx(plain[:4], abs=2e-7)
+        np.testing.assert_allclose(again.covariance, plain.covariance, rtol=1e-5)
 
 
 def test_a_filtered_search_grid_gives_the_covariance_of_the_remainder():

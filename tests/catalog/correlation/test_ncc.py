@@ -3,9 +3,11 @@
 import cv2
 import numpy as np
 import pytest
+import scipy.fft
 from scipy import ndimage
 
 from catalog.correlation.ncc import (
+    _scores,
     correlated,
     cropped,
     filtered,
@@ -14,7 +16,13 @@ from catalog.correlation.ncc import (
     match_ncc,
     with_remainder_covariance,
 )
-from catalog.correlation.peak import RIVAL_DISTANCE, locate_peak, refined_by_remainder
+from catalog.correlation.peak import (
+    LAG_NODES,
+    RIVAL_DISTANCE,
+    _smoothed,
+    locate_peak,
+    refined_by_remainder,
+)
 from catalog.correlation.similarity import (
     half_pair_scores,
     match_similarity,
@@ -324,3 +332,28 @@ def test_holes_leave_the_remainder_alone():
     part = with_remainder_covariance(match, reference, search, 8).covariance
     # 54 of 80 columns are left
     assert 1.0 < np.trace(part) / np.trace(whole) < 3.0
+
+
+@pytest.mark.parametrize("places", [7, 15, 17])
+def test_scores_one_by_one_are_those_of_the_transforms(places):
+    """7 and 15 places a side are summed one by one, 17 are not."""
+    field = texture(40)
+    template = filtered(cut(field, 42))
+    image = filtered(cut(shifted(field, 1.4, -0.6), 42 + places - 1))
+    exact = cv2.matchTemplate(image.values, template.values, cv2.TM_CCOEFF_NORMED)
+    np.testing.assert_allclose(_scores(template, image), exact, atol=1e-6)
+
+
+@pytest.mark.parametrize("side", [60, 75])
+def test_a_spectrum_is_smoothed_as_by_a_taper_of_its_correlation(side):
+    """By transforms of the whole correlation, in double precision; 75 is odd."""
+    field = np.random.default_rng(side).normal(size=(side - 28, side - 28))
+    waves = scipy.fft.rfft2(field, s=(side, side))
+    power = np.square(np.abs(waves))
+    lag = np.minimum(np.arange(side), side - np.arange(side)) / LAG_NODES
+    taper = np.exp(-0.5 * lag * lag)
+    correlation = scipy.fft.irfft2(power, s=(side, side))
+    wanted = scipy.fft.rfft2(correlation * np.outer(taper, taper)).real
+    smooth, mean = _smoothed(power.astype(np.float32))
+    np.testing.assert_allclose(smooth, wanted, atol=1e-6 * wanted.max())
+    assert mean == pytest.approx(float(correlation[0, 0]), rel=1e-6)
