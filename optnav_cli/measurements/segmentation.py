@@ -4,9 +4,10 @@ The threshold adapts to the picture: well above the sky's noise, and a small sha
 lit ground's level, so that a faint cusp still belongs to the body and stray light does not.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -15,6 +16,8 @@ from catalog.arrays import Float32Array, Int32Array, IntArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
 from optnav_cli.reasons import ReasonCode
+
+Made = TypeVar("Made")
 
 BLOCK_PX = 16
 SKY_QUANTILE = 0.05  # of the blocks' means: the darkest parts of the picture are sky or night
@@ -77,6 +80,7 @@ class Segmented:
 
     def __init__(self, picture: Float32Array) -> None:
         self.picture = np.ascontiguousarray(picture, dtype=np.float32)
+        self._made: dict[Hashable, Any] = {}
 
     @cached_property
     def levels(self) -> Levels:
@@ -87,6 +91,13 @@ class Segmented:
     def blobs(self) -> Blobs:
         """The areas above the levels' threshold."""
         return lit_blobs(self.picture, self.levels.threshold)
+
+    def once(self, name: Hashable, make: Callable[[], Made]) -> Made:
+        """What something makes of the picture, made by the first who asks for it by this name."""
+        if name not in self._made:
+            self._made[name] = make()
+        made: Made = self._made[name]
+        return made
 
 
 def measure_levels(picture: Float32Array) -> Levels:
@@ -131,16 +142,19 @@ def measure_levels(picture: Float32Array) -> Levels:
 def _peak(picture: Float32Array) -> float:
     """Highest mean of 3 x 3 pixels, those beyond the edge mirrored at it."""
     rows, cols = picture.shape
-    line, highest = np.empty(cols), -np.inf
+    line, highest = np.empty(cols), np.full(cols, -np.inf)
     for r in range(rows):
         above, below = min(abs(r - 1), rows - 1), r + 1 if r + 1 < rows else max(rows - 2, 0)
         for c in range(cols):
             line[c] = float(picture[above, c]) + picture[r, c] + picture[below, c]
+        # of each column, so that no pixel waits for the one before it
         for c in range(1, cols - 1):
-            highest = max(highest, line[c - 1] + line[c] + line[c + 1])
+            mean = line[c - 1] + line[c] + line[c + 1]
+            highest[c] = mean if mean > highest[c] else highest[c]
         first, last = min(1, cols - 1), max(cols - 2, 0)
-        highest = max(highest, line[0] + 2.0 * line[first], line[cols - 1] + 2.0 * line[last])
-    return float(np.float32(highest / 9.0))
+        highest[0] = max(highest[0], line[0] + 2.0 * line[first])
+        highest[cols - 1] = max(highest[cols - 1], line[cols - 1] + 2.0 * line[last])
+    return float(np.float32(highest.max() / 9.0))
 
 
 def lit_blobs(picture: Float32Array, threshold: float) -> Blobs:

@@ -54,37 +54,45 @@ def _rises(
     dy, dx = row_step, 1 - row_step
     forward = 2 * row_step
     count = 0
+    first, last = RUN_PX * dx, width - RUN_PX * dx
+    crosses = np.empty(last - first + 8, np.uint8)
+    eight = crosses[: 8 * (crosses.size // 8)].view(np.uint64)
     for y in range(RUN_PX * dy, height - RUN_PX * dy):
-        for x in range(RUN_PX * dx, width - RUN_PX * dx):
-            here = picture[y, x]
-            after = picture[y + dy, x + dx]
-            if (here < threshold) == (after < threshold):
+        here, there = picture[y, first:last], picture[y + dy, first + dx : last + dx]
+        # a loop of its own, of no branches: the processor takes many pixels at once
+        for k in range(last - first):
+            crosses[k] = (here[k] < threshold) != (there[k] < threshold)
+        crosses[last - first :] = 0
+        for block in range(eight.size):
+            if eight[block] == 0:
                 continue
-            up = here < threshold
-            # `step` walks from the dark pixel of the pair to the bright one
-            step = 1 if up else -1
-            y0, x0 = (y, x) if up else (y + dy, x + dx)
-            clean = True
-            for k in range(1, RUN_PX):
-                dark = picture[y0 - k * step * dy, x0 - k * step * dx]
-                lit = picture[y0 + (k + 1) * step * dy, x0 + (k + 1) * step * dx]
-                if dark >= threshold or lit < threshold:
-                    clean = False
-                    break
-            if not clean:
-                continue
-            far = picture[y0 + 3 * step * dy, x0 + 3 * step * dx]
-            if far - picture[y0 - step * dy, x0 - step * dx] < least_rise:
-                continue
-            if count == places.shape[0]:
-                return count
-            low = here if up else after
-            high = after if up else here
-            part = (threshold - low) / (high - low)
-            places[count, 0] = x0 + part * step * dx
-            places[count, 1] = y0 + part * step * dy
-            directions[count] = forward + (0 if up else 1)
-            count += 1
+            for x in range(first + 8 * block, first + 8 * block + 8):
+                if crosses[x - first] == 0:
+                    continue
+                up = picture[y, x] < threshold
+                # `step` walks from the dark pixel of the pair to the bright one
+                step = 1 if up else -1
+                y0, x0 = (y, x) if up else (y + dy, x + dx)
+                clean = True
+                for k in range(1, RUN_PX):
+                    dark = picture[y0 - k * step * dy, x0 - k * step * dx]
+                    lit = picture[y0 + (k + 1) * step * dy, x0 + (k + 1) * step * dx]
+                    if dark >= threshold or lit < threshold:
+                        clean = False
+                        break
+                if not clean:
+                    continue
+                far = picture[y0 + 3 * step * dy, x0 + 3 * step * dx]
+                if far - picture[y0 - step * dy, x0 - step * dx] < least_rise:
+                    continue
+                if count == places.shape[0]:
+                    return count
+                low, high = picture[y0, x0], picture[y0 + step * dy, x0 + step * dx]
+                part = (threshold - low) / (high - low)
+                places[count, 0] = x0 + part * step * dx
+                places[count, 1] = y0 + part * step * dy
+                directions[count] = forward + (0 if up else 1)
+                count += 1
     return count
 
 

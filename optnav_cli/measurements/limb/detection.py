@@ -103,8 +103,9 @@ def find_limb(
     space = _space(stretch)
     levels, blobs = areas.levels, areas.blobs
     checks.check_blobs(picture, blobs, levels, full)
-    candidates = find_candidates(picture, camera, levels, blobs)
-    everywhere = pixel_rays(camera, candidates.pixels, space)
+    candidates, everywhere = areas.once(
+        ("edges", camera, space.tobytes()), lambda: _edges(areas, camera, space)
+    )
     cone, kept = _first_cone(
         picture, camera, candidates, everywhere, levels.threshold, sun_camera, relief, space
     )
@@ -161,6 +162,12 @@ def _space(stretch: FloatArray | None) -> FloatArray:
         return np.eye(3)
     unit = stretch / np.linalg.norm(stretch, 2)
     return np.eye(3) if np.allclose(unit @ unit.T, np.eye(3), atol=1e-9) else unit
+
+
+def _edges(areas: Segmented, camera: Camera, space: FloatArray) -> tuple[Candidates, PixelRays]:
+    """A picture's candidates for a limb, and their rays in the space."""
+    candidates = find_candidates(areas.picture, camera, areas.levels, areas.blobs)
+    return candidates, pixel_rays(camera, candidates.pixels, space)
 
 
 def _first_cone(

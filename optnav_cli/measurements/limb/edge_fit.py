@@ -17,7 +17,7 @@ from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb.candidates import BORDER_PX, Candidates, outward_normals
 from optnav_cli.measurements.limb.cone import Cone, PixelRays, distances, stretched_rays
-from optnav_cli.measurements.limb.photometry import blurred_powers, laws_across_limb, power_table
+from optnav_cli.measurements.limb.photometry import blurred_law, laws_across_limb, power_table
 from optnav_cli.measurements.segmentation import Levels
 from optnav_cli.reasons import ReasonCode
 
@@ -106,11 +106,13 @@ def _fit(
     blur, sky, variance, gain, saturation = common
     n, m = values.shape
     result, residual = np.empty((n, 3)), np.zeros((n, m))
-    out = np.empty((2, law.shape[1]))
+    shares = np.empty(law.shape[1])
     prior = 1.0 / (SKY_PRIOR_SIGMAS * SKY_PRIOR_SIGMAS * variance)
     for i in range(n):
         level, bright, place = state[i, 0], state[i, 1], state[i, 2]
         total, used, spread_place = 0.0, 0, np.nan
+        for k in range(law.shape[1]):
+            shares[k] = law[i, k] * blur ** (0.5 * k)
         for turn in range(ITERATIONS):
             a00, a01, a02, a11, a12, a22 = prior, 0.0, 0.0, 0.0, 0.0, 0.0
             b0, b1, b2 = prior * (sky - level), 0.0, 0.0
@@ -119,11 +121,7 @@ def _fit(
                 residual[i, j] = 0.0
                 if np.isnan(depth[i, j]):
                     continue
-                blurred_powers(table, (depth[i, j] - place) / blur, blur, out)
-                shape, slope = 0.0, 0.0
-                for k in range(law.shape[1]):
-                    shape += law[i, k] * out[0, k]
-                    slope += law[i, k] * out[1, k]
+                shape, slope = blurred_law(table, shares, (depth[i, j] - place) / blur, blur)
                 model = level + bright * shape
                 if model >= saturation and values[i, j] >= saturation:
                     continue

@@ -48,22 +48,24 @@ def power_table() -> FloatArray:
 
 
 @kernel
-def blurred_powers(table: FloatArray, t: float, sigma: float, out: FloatArray) -> None:
-    """Write the blurred powers (POWERS,) and their derivatives (POWERS,) by the distance.
+def blurred_law(
+    table: FloatArray, shares: FloatArray, t: float, sigma: float
+) -> tuple[float, float]:
+    """Brightness of a law behind the blur, and its derivative by the distance, by `power_table`.
 
-    t  distance inside the edge in blur widths sigma (px); out (2, POWERS)
+    shares (POWERS,)  of the powers at a distance of sigma, the width of the blur, px
+    t                 distance inside the edge in blur widths
     """
     last = table.shape[0] - 1
     place = (min(max(t, LOWEST), HIGHEST) - LOWEST) / STEP
     index = min(int(place), last - 1)
-    part = place - index
-    scale = 1.0
-    root = math.sqrt(sigma)
-    for k in range(table.shape[1]):
-        low, high = table[index, k], table[index + 1, k]
-        out[0, k] = scale * (low + part * (high - low))
-        out[1, k] = scale * (high - low) / STEP / sigma
-        scale *= root
+    # unsigned: no index counts from the end
+    row, next_row = np.uint64(index), np.uint64(index + 1)
+    low, high = 0.0, 0.0
+    for k in range(POWERS):
+        low += shares[k] * table[row, np.uint64(k)]
+        high += shares[k] * table[next_row, np.uint64(k)]
+    return low + (place - index) * (high - low), (high - low) / (STEP * sigma)
 
 
 def series(brightness: FloatArray) -> FloatArray:
