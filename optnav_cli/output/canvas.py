@@ -58,16 +58,18 @@ def eight_bits(picture: NDArray[np.generic]) -> ByteArray:
 
 @kernel
 def _look_up(values: Float32Array, shades: ByteArray, found: ByteArray) -> bool:
-    """Write the shade of each count; stops with False at a value that is no whole count."""
+    """Write the shade of each count; stops with False at a row where a value is no whole count."""
     rows, cols = values.shape
     for r in range(rows):
+        others = 0
+        for c in range(cols):  # of no branches: the processor takes many pixels at once
+            inside = values[r, c] < shades.size  # no integer is defined for infinity
+            count = np.int32(values[r, c] if inside else np.float32(0.0))
+            others += 0 if inside & (np.float32(count) == values[r, c]) else 1
+        if others:
+            return False
         for c in range(cols):
-            if not values[r, c] < shades.size:  # no integer is defined for infinity
-                return False
-            count = np.int32(values[r, c])
-            if np.float32(count) != values[r, c]:
-                return False
-            found[r, c] = shades[np.uint64(count)]
+            found[r, c] = shades[np.uint64(values[r, c])]
     return True
 
 
