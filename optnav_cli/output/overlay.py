@@ -6,7 +6,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -19,7 +18,6 @@ from optnav_cli.output.canvas import (
     SUBPIXEL_BITS,
     Canvas,
     dimmed,
-    eight_bits,
     encoded,
     resized,
     shrink_factor,
@@ -82,7 +80,7 @@ def put_inset(canvas: Canvas, gray: ByteArray, marks: OutlineMarks) -> None:
 
 
 def draw_overlay(
-    picture: NDArray[np.generic],
+    gray: ByteArray,
     solution: Solution,
     matches: Iterable[MatchRow],
     outlines: Outlines | None = None,
@@ -92,15 +90,14 @@ def draw_overlay(
 ) -> ByteArray:
     """Draw a frame's control points, and what is known of the body's outline, on its picture.
 
-    picture   (h, w)  as read, any number type
+    gray      (h, w) the picture as `eight_bits` makes it
     outlines  closed lines (n, 2), px, by catalog and control point id, see `patch_outlines`
     marks     limb points with the fitted limb, or a disc's centre
     Returns (h', w', 3) uint8 in OpenCV's order of colours, its longer side at most longest_px,
     with a strip below for the legend and the result.
     """
     matches = list(matches)
-    factor = shrink_factor(picture.shape[1], picture.shape[0], longest_px)
-    gray = eight_bits(picture)
+    factor = shrink_factor(gray.shape[1], gray.shape[0], longest_px)
     canvas = Canvas(dimmed(resized(gray, factor)), factor)
     used = [
         (outlines or {}).get((match.catalog, match.cp_id), ()) for match in matches if match.used
@@ -115,12 +112,10 @@ def draw_overlay(
     return np.vstack([canvas.image, _legend(canvas.image.shape[1], solution, matches, marks)])
 
 
-def overlay_png(
-    picture: NDArray[np.generic], solution: Solution, outlines: Outlines | None = None
-) -> bytes:
-    """The bytes of a frame's overlay, with the evidence of its solution."""
+def overlay_png(gray: ByteArray, solution: Solution, outlines: Outlines | None = None) -> bytes:
+    """The bytes of a frame's overlay, with the evidence of its solution; see `draw_overlay`."""
     tried = solution.evidence
-    drawn = draw_overlay(picture, solution, tried.matches, outlines, marks=tried.outline)
+    drawn = draw_overlay(gray, solution, tried.matches, outlines, marks=tried.outline)
     return encoded(drawn, ".png")
 
 

@@ -17,10 +17,9 @@ from typing import Self
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from catalog.arrays import FloatArray
+from catalog.arrays import ByteArray, FloatArray
 from catalog.bodies.body import Body
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.rotations import ARCSEC, rnb_axes
@@ -28,7 +27,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks, Solution
 from optnav_cli.output import foxglove
-from optnav_cli.output.canvas import eight_bits, encoded, resized, shrink_factor
+from optnav_cli.output.canvas import encoded, resized, shrink_factor
 from optnav_cli.output.scene import (
     FOUND,
     PREDICTED,
@@ -232,10 +231,10 @@ class Recording(MessageLog):
         }
 
 
-def recorded_image(picture: NDArray[np.generic], camera: Camera) -> bytes:
-    """A camera's picture (h, w) as it is recorded: a JPEG of 8 bits, MAX_PX at most."""
+def recorded_image(gray: ByteArray, camera: Camera) -> bytes:
+    """A camera's picture (h, w), as `eight_bits` makes it, as it is recorded: a JPEG of MAX_PX."""
     factor = shrink_factor(camera.width_px, camera.height_px, MAX_PX)
-    return encoded(resized(eight_bits(picture), factor), ".jpg", JPEG_QUALITY)
+    return encoded(resized(gray, factor), ".jpg", JPEG_QUALITY)
 
 
 def topic_of(camera: str, what: str) -> str:

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import cv2
 import numpy as np
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import ByteArray, FloatArray
 from catalog.cache import Cache
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher
@@ -43,6 +43,7 @@ from optnav_cli.navigation.history import NeedsPastError, UnseenPast
 from optnav_cli.navigation.observation import FROM_FILE
 from optnav_cli.navigation.picked_points import PickedFrames
 from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_png, patch_outlines
 from optnav_cli.output.recording import recorded_image
 from optnav_cli.output.run_folder import FRAMES
@@ -327,11 +328,11 @@ class FrameWorker:
         camera = self.folder.cameras.get(frame.camera)
         if camera is not None and not frame.problem:
             try:
-                values = self._shown(frame, camera)
-                image = image or recorded_image(values, camera)
+                gray = self._shown(frame, camera)
+                image = image or recorded_image(gray, camera)
                 if row is not None:
                     outlines = _patch_outlines(row, camera, self.inputs.points)
-                    overlay = overlay_png(values, row, outlines)
+                    overlay = overlay_png(gray, row, outlines)
             except DataError:  # its row says so
                 pass
             except FRAME_FAULTS as error:
@@ -347,14 +348,14 @@ class FrameWorker:
         lines = str(error).splitlines()
         return f"{what} ({type(error).__name__}{': ' if lines else ''}{lines[0] if lines else ''})"
 
-    def _shown(self, frame: Frame, camera: Camera) -> Float32Array:
+    def _shown(self, frame: Frame, camera: Camera) -> ByteArray:
         """What a frame's row is drawn on: its picture; black where picked points need none."""
         try:
-            return self._picture(frame, camera).values
+            return eight_bits(self._picture(frame, camera).values)
         except DataError:
             if self.points_of(frame) is None:
                 raise
-            return np.zeros(camera.shape, np.float32)
+            return np.zeros(camera.shape, np.uint8)
 
     def _picture(self, frame: Frame, camera: Camera) -> Picture:
         """A frame's picture; the last one is at hand. Raises DataError."""

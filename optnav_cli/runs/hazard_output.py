@@ -24,7 +24,7 @@ from optnav_cli.hazard.hazard_map import HazardMap
 from optnav_cli.hazard.pads import REFUSED, Pad
 from optnav_cli.hazard.settings import PADS_FILE, HazardSettings
 from optnav_cli.output import foxglove
-from optnav_cli.output.canvas import encoded
+from optnav_cli.output.canvas import eight_bits, encoded
 from optnav_cli.output.recording import MessageLog, recorded_image, topic_of
 from optnav_cli.runs.hazard_drawing import draw_overview, draw_risk
 
@@ -152,7 +152,7 @@ class HazardOutput:
         name = camera.name if camera else "camera"
         message = frame.reason
         if frame.mapped is not None and camera is not None and frame.picture is not None:
-            image = recorded_image(frame.picture.values, camera)
+            image = recorded_image(eight_bits(frame.picture.values), camera)
             _add_image(log, topic_of(name, "image"), name, image, "jpeg")
             _add_image(log, topic_of(name, "risk"), name, risk, "png")
             found, squares = frame.mapped.found, len(frame.mapped.pads)

@@ -29,6 +29,7 @@ from optnav_cli.navigation.neighbour import other_body
 from optnav_cli.navigation.observation import observation_of
 from optnav_cli.navigation.outline import method as outline
 from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_png
 from optnav_cli.output.recording import Recording, recorded_image
 from optnav_cli.runs.frame_worker import MATCHERS, FrameWorker, RunInputs
@@ -168,9 +169,10 @@ def test_a_fisheye_frame_with_nothing_stated(shared_data, tmp_path):
         return outline.navigate(loaded(), *view, worker.folder.body, relief, other)
 
     def drawn():
-        overlay_png(picture.values, row, {})
+        gray = eight_bits(picture.values)
+        overlay_png(gray, row, {})
         with Recording(tmp_path / "run.mcap", worker.folder.body) as recording:
-            image, found = recorded_image(picture.values, camera), row.evidence
+            image, found = recorded_image(gray, camera), row.evidence
             recording.add_frame(row, found.matches, camera, image, found.outline)
 
     calls = {

@@ -23,6 +23,7 @@ from optnav_cli.frames.truth import read_truth
 from optnav_cli.hazard.ground_view import look_down
 from optnav_cli.hazard.hazard_map import map_hazard
 from optnav_cli.hazard.settings import HazardSettings
+from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import RESIDUALS_ENLARGED, draw_overlay, patch_outlines
 from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.report.body_sides import sides_picture
@@ -196,14 +197,14 @@ def frame_overlay(
     solution = next(s for s in found.solutions if s.file == file)
     matches = [m for m in found.matches if m.file == file]
     outlines = _patch_outlines(found, file, catalog_path) if catalog_path else {}
-    picture = load_picture(pictures / file, found.cameras[file]).values
+    gray = eight_bits(load_picture(pictures / file, found.cameras[file]).values)
     caption = (
         f"{what}: {solution.n_used} of {solution.n_predicted} control points are used, residual "
         f"{solution.residual_rms_px:.2f} px. Pink: where the prior predicted them; rings: where "
         "the solution does; crosses: where they were found; yellow: residuals, enlarged "
         f"{RESIDUALS_ENLARGED:.0f} times."
     )
-    return draw_overlay(picture, solution, matches, outlines, FRAME_PX), caption
+    return draw_overlay(gray, solution, matches, outlines, FRAME_PX), caption
 
 
 def opening(run: Path, pictures: Path, catalog_path: Path) -> Drawn:

@@ -184,7 +184,7 @@ def test_a_small_outline_is_shown_enlarged_away_from_it(centre):
     picture = np.zeros((1000, 1000), np.float32)
     disc = OutlineMarks.of_disc(np.array(centre))
     cv2.circle(picture, (int(centre[0]), int(centre[1])), 9, 200.0, -1)
-    image = draw_overlay(picture, unsolved("a.png", "", ""), [], marks=disc)
+    image = draw_overlay(eight_bits(picture), unsolved("a.png", "", ""), [], marks=disc)
     assert near(image, centre[0] + 20, centre[1], DISC, 3) < 60
     left = 0 if centre[0] > 500 else 600
     top = 0 if centre[1] > 500 else 600
@@ -208,7 +208,7 @@ def test_a_small_disc_in_a_noisy_sky_is_stretched_by_its_own_light():
 
 def test_a_line_tells_the_result_and_long_reasons_are_cut(tmp_path):
     picture = np.full((300, 300), 100.0, np.float32)
-    image = draw_overlay(picture, unsolved("a.png", "", "σ " * 400), [])
+    image = draw_overlay(eight_bits(picture), unsolved("a.png", "", "σ " * 400), [])
     assert image.shape[1] == 300
     strip = image[300:]
     assert (strip[:, 290:] > 100).sum() == 0
@@ -229,7 +229,7 @@ def test_the_same_frame_gives_the_same_file_with_its_whole_name(tmp_path):
         n_predicted=1, n_matched=1, n_used=1, residual_rms_px=0.1,
         matches=(a_match(20, 30, (0, 0)),),
     )  # fmt: skip
-    drawn = [overlay_png(picture, solution) for _ in range(2)]
+    drawn = [overlay_png(eight_bits(picture), solution) for _ in range(2)]
     assert drawn[0] == drawn[1]
     assert overlay_path(tmp_path, "sub/a.tif") == tmp_path / "sub_a.tif.png"
     assert cv2.imdecode(np.frombuffer(drawn[0], np.uint8), cv2.IMREAD_COLOR).shape[1] == 300

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks
+from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.recording import Recording, nanoseconds, recorded_image
 from tests.optnav_cli.rows import solved, unsolved
 
@@ -115,10 +116,10 @@ def recorded(tmp_path):
     path = tmp_path / "run.mcap"
     picture = np.arange(480 * 640, dtype=np.float32).reshape(480, 640)
     with Recording(path, MOON) as recording:
-        recording.add_frame(a_frame(), MATCHES, UNK, recorded_image(picture, UNK))
+        recording.add_frame(a_frame(), MATCHES, UNK, recorded_image(eight_bits(picture), UNK))
         recording.add_frame(
             unsolved("b.png", "2023-08-17T05:24:10Z", "picture is black"), (), FISHEYE,
-            recorded_image(np.zeros((4096, 4096), np.float32), FISHEYE),
+            recorded_image(np.zeros((4096, 4096), np.uint8), FISHEYE),
         )  # fmt: skip
         recording.add_frame(unsolved("c.png", "yesterday", "time is not understood"))
     return read(path)
@@ -158,7 +159,7 @@ def test_a_camera_called_like_the_body_has_a_frame_of_its_own(tmp_path):
     camera = replace(UNK, name="moon")
     with Recording(tmp_path / "run.mcap", MOON) as recording:
         recording.add_frame(
-            a_frame(), (), camera, recorded_image(np.zeros((480, 640), np.float32), UNK)
+            a_frame(), (), camera, recorded_image(np.zeros((480, 640), np.uint8), UNK)
         )
     messages = read(tmp_path / "run.mcap")
     (transform,) = [c for s, _, _, c in messages if s.name == "foxglove.FrameTransform"]
@@ -277,7 +278,7 @@ def test_the_same_run_gives_the_same_bytes(tmp_path):
     for name in ("one", "other"):
         with Recording(tmp_path / name, MOON) as recording:
             recording.add_frame(
-                a_frame(), MATCHES, UNK, recorded_image(np.ones((480, 640), np.float32), UNK)
+                a_frame(), MATCHES, UNK, recorded_image(np.ones((480, 640), np.uint8), UNK)
             )
     assert (tmp_path / "one").read_bytes() == (tmp_path / "other").read_bytes()
 
@@ -287,7 +288,7 @@ def test_a_frame_that_cannot_be_written_leaves_nothing_and_the_next_ones_go_on(t
     with Recording(tmp_path / "run.mcap", MOON) as recording:
         with pytest.raises(ValueError, match="JSON"):
             recording.add_frame(
-                broken, MATCHES, UNK, recorded_image(np.ones((480, 640), np.float32), UNK)
+                broken, MATCHES, UNK, recorded_image(np.ones((480, 640), np.uint8), UNK)
             )
         recording.add_frame(a_frame("b.png"), MATCHES, UNK)
     lines = [c["file"] for s, _, _, c in read(tmp_path / "run.mcap") if s.name == "foxglove.Log"]

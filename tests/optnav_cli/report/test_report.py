@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from catalog.errors import DataError, OutputError
 from catalog.files import MADE_BY
 from optnav_cli.evaluation.files import evaluate_run, write_evaluation
+from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_path, overlay_png
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.reasons import ReasonCode
@@ -41,7 +42,7 @@ def run(tmp_path, make_run):
         tried = replace(solution.outcome, evidence=replace(solution.evidence, matches=rows))
         place = overlay_path(folder / "overlays", solution.file)
         place.parent.mkdir(exist_ok=True)
-        place.write_bytes(overlay_png(picture, replace(solution, outcome=tried)))
+        place.write_bytes(overlay_png(eight_bits(picture), replace(solution, outcome=tried)))
     return folder
 
 
