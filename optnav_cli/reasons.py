@@ -56,7 +56,7 @@ class ReasonCode(StrEnum):
     # stars
     FEW_STARS = "few_stars", "fewer than four spots that could be stars"
     NO_STARS = "no_stars", "no attitude makes stars of the spots"
-    WRONG_LENS = "wrong_lens", "the stars fit another focal length than the camera file's"
+    WRONG_LENS = "wrong_lens", "stars or points fit another focal length than the camera file's"
     # the solution
     NO_SOLUTION = "no_solution", "the measurements give no position"
     NOT_SETTLED = "not_settled", "the iteration does not settle on a position"

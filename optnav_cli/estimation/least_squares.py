@@ -71,6 +71,7 @@ class Iteration:
     settled_sigmas  a step below this share of its own sigma is the last
     each_unknown    whether every unknown's step is judged by that unknown's sigma, or all at once
     damped          whether steps are shortened after one that raised the cost
+    max_cost        given up where even a step's own prediction costs more
     undetermined, unsettled  why there is no solution
     """
 
@@ -80,6 +81,7 @@ class Iteration:
     unsettled: Reason
     each_unknown: bool = False
     damped: bool = False
+    max_cost: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +163,8 @@ def solve(
         covariance, step, judged = _step(normal, gradient, damping, iteration.each_unknown)
         if not np.isfinite(judged):
             raise iteration.undetermined.error()
+        if cost - float(step @ gradient) > iteration.max_cost:
+            raise iteration.unsettled.error()
         state = move(state, step)
         if judged < iteration.settled_sigmas and damping < 1.0:
             return Estimate(state, covariance, covariance, terms)

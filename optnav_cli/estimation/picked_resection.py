@@ -9,7 +9,7 @@ snooping).
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import combinations
 
 import cv2
@@ -20,11 +20,7 @@ from scipy.stats import chi2
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.errors import NoSolutionError
-from optnav_cli.estimation.least_squares import (
-    Estimate,
-    Iteration,
-    solve,
-)
+from optnav_cli.estimation.least_squares import Estimate, Iteration, solve
 from optnav_cli.estimation.models.picked_points import (
     AttitudePrior,
     LensErrors,
@@ -41,6 +37,7 @@ from optnav_cli.reasons import Reason, ReasonCode
 
 # A point is left out, and a whole fit refused, when chance makes as much so rarely.
 GATE_PROBABILITY, FIT_PROBABILITY = 0.9995, 0.9999
+FREE_FOCAL = 0.3  # error of a focal length that the points alone shall tell
 MAX_LEFT_OUT = 0.34  # of the points: more are no blunders, but wrong coordinates or a wrong lens
 MIN_LEFT = 1e-3  # of a point's variance in its residual: less is rounding
 MAX_SAMPLES = 100
@@ -49,6 +46,7 @@ MIN_DEPTH = 0.05  # of a ray's length along the boresight: OpenCV's poses need p
 OWN_LINE = 3.0  # sigmas that points must stand off a common line
 SAME_PLACE_SIGMAS = 5.0
 RIVAL_COST = 11.8  # another pose whose cost is less than 3 sigmas of two numbers higher
+HOPELESS = 10.0  # times that cost promised by a step end its search; rivals' had up to 1.6
 # A mirror image that is nearer leaves the way of the lean open. Found on nadir pictures of 5 points
 # (seed 2): leans that noise made stood up to 135 sigmas from theirs; `study points` scores it.
 NEAR_MIRROR_SIGMAS = 150.0
@@ -79,7 +77,7 @@ class PickedPose:
     @property
     def fits(self) -> bool:
         """Whether the points agree within their sigmas, with few left out."""
-        agree = self.freedom <= 0 or self.cost < float(chi2.ppf(FIT_PROBABILITY, self.freedom))
+        agree = self.freedom <= 0 or self.cost < _quantile(FIT_PROBABILITY, self.freedom)
         return agree and 1.0 - self.used.mean() <= MAX_LEFT_OUT
 
     @property
@@ -112,13 +110,19 @@ class PickedResection:
         """Points without which there is no one solution."""
         return 4 if self.attitude is None else 2
 
-    def solve(self) -> PickedPose:
+    def solve(self, near: PickedPose | None = None) -> PickedPose:
         """The pose that the points fit, blunders left out.
+
+        near  a pose that they fitted from places that were little different
 
         Raises NoSolutionError for too few points, points on a line or in one pixel, points that
         disagree, and two poses that the points do not tell apart.
         """
         self._check_spread()
+        if near is not None and near.fits:
+            again = self._without_blunders(near.used, near.pose)
+            if again is not None and again.fits:
+                return again
         everything = np.ones(len(self.points), dtype=bool)
         best = self._without_blunders(everything)
         if best is None or not best.fits:
@@ -137,7 +141,8 @@ class PickedResection:
             return None
         start = _tilted_over(found.pose, self.points.places_m[found.used])
         try:
-            other = self._fitted(found.used, start)
+            hopeless = HOPELESS * (found.cost + RIVAL_COST)
+            other = self._pose_of(self._estimate(found.used, start, hopeless), found.used)
         except NoSolutionError:
             return None
         apart = other.pose.position_m - found.pose.position_m
@@ -145,6 +150,21 @@ class PickedResection:
         if float(apart @ np.linalg.solve(covariance, apart)) < SAME_PLACE_SIGMAS**2:
             return None
         return other if other.cost < found.cost + RIVAL_COST else None
+
+    @property
+    def any_lens(self) -> "PickedResection":
+        """The same with a focal length of which nothing is stated."""
+        return replace(self, lens=replace(self.lens, focal=FREE_FOCAL))
+
+    def by_another_lens(self, found: PickedPose) -> PickedPose | None:
+        """The pose with a focal length that the points ask for against what is stated of it."""
+        if found.freedom <= 2:
+            return None
+        try:
+            other = self.any_lens._fitted(found.used, found.pose)
+        except NoSolutionError:
+            return None
+        return other if found.cost - other.cost > _quantile(FIT_PROBABILITY, 1) else None
 
     def with_all_leans(self, found: PickedPose) -> PickedPose:
         """The same pose, its covariance widened by other leans that fit the points nearly as well.
@@ -224,7 +244,7 @@ class PickedResection:
             return found
         seen = self.points.sightings(self.camera, found.pose)
         squares = _squares(found.residuals_px, seen.covariances_px2)
-        agreeing = found.used | (squares < float(chi2.ppf(GATE_PROBABILITY, 2)))
+        agreeing = found.used | (squares < _quantile(GATE_PROBABILITY, 2))
         if (agreeing == found.used).all():
             return found
         try:
@@ -236,7 +256,7 @@ class PickedResection:
 
     def _from_samples(self, best: PickedPose | None) -> PickedPose | None:
         """The best of fits that start from four points each, among many blunders."""
-        gate = 9.0 * float(chi2.ppf(GATE_PROBABILITY, 2))
+        gate = 9.0 * _quantile(GATE_PROBABILITY, 2)
         tried: list[tuple[int, float, Pose]] = []
         for some in _samples(len(self.points), self.fewest):
             used = np.zeros(len(self.points), dtype=bool)
@@ -323,22 +343,22 @@ class PickedResection:
     def _fitted(self, used: BoolArray, start: Pose) -> PickedPose:
         return self._pose_of(self._estimate(used, start), used)
 
-    def _estimate(self, used: BoolArray, start: Pose) -> Estimate[LensPose]:
+    def _estimate(self, used: BoolArray, start: Pose, most: float = np.inf) -> Estimate[LensPose]:
         """The fit of some points. Raises NoSolutionError."""
         points, lens = self.points.subset(used), self.lens
-        pose = start
+        iteration = replace(_ITERATION, max_cost=most)
+        state = LensPose(start, 0.0, np.zeros(2))
         for _ in range(2):  # the weights of places hang on the distance, which is known after one
             models: list[LensPoints | LensErrors | StatedAttitude] = [
-                LensPoints(self.camera, points.sightings(self.camera, pose), lens)
+                LensPoints(self.camera, points.sightings(self.camera, state.pose), lens)
             ]
             if lens.sigmas.size:
                 models.append(LensErrors(lens))
             if self.attitude is not None:
                 turn, sigma = self.attitude.camera_from_body, self.attitude.sigma_rad
                 models.append(StatedAttitude(turn, sigma, 6 + lens.sigmas.size))
-            first = LensPose(pose, 0.0, np.zeros(2))
-            estimate = solve(models, first, partial(moved_with_lens, lens=lens), _ITERATION)
-            pose = estimate.state.pose
+            estimate = solve(models, state, partial(moved_with_lens, lens=lens), iteration)
+            state = estimate.state
         return estimate
 
     def _pose_of(self, estimate: Estimate[LensPose], used: BoolArray) -> PickedPose:
@@ -372,12 +392,17 @@ class PickedResection:
             "ni,nij,nj->n", measured.residuals, np.linalg.inv(left), measured.residuals
         )
         level = 1.0 - (1.0 - GATE_PROBABILITY) * min(1.0, 20.0 / max(int(used.sum()), 1))
-        return squares, np.full(squares.shape, float(chi2.ppf(level, 2)))
+        return squares, np.full(squares.shape, _quantile(level, 2))
+
+
+@lru_cache(maxsize=256)
+def _quantile(probability: float, freedom: int) -> float:
+    return float(chi2.ppf(probability, freedom))
 
 
 def _widening(cost: float, freedom: int) -> float:
     """Of a covariance: residuals wider than one in twenty say that sigmas are small."""
-    return cost / freedom if freedom > 0 and cost > float(chi2.ppf(0.95, freedom)) else 1.0
+    return cost / freedom if freedom > 0 and cost > _quantile(0.95, freedom) else 1.0
 
 
 def is_before(pose: Pose, places_m: FloatArray) -> BoolArray:
@@ -385,11 +410,6 @@ def is_before(pose: Pose, places_m: FloatArray) -> BoolArray:
     to_camera = pose.position_m - places_m
     facing: BoolArray = np.einsum("ni,ni->n", to_camera, places_m) > 0.0
     return facing
-
-
-def with_places(problem: PickedResection, places_m: FloatArray) -> PickedResection:
-    """The same with other places (n, 3) of the points."""
-    return replace(problem, points=replace(problem.points, places_m=places_m))
 
 
 def _squares(residuals_px: FloatArray, covariances_px2: FloatArray) -> FloatArray:

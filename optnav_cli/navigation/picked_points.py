@@ -5,12 +5,12 @@ readings of their coordinates are tried, and the reason names one that does.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from catalog.arrays import BoolArray, FloatArray
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import normal_at
@@ -29,7 +29,6 @@ from optnav_cli.estimation.picked_resection import (
     PickedPose,
     PickedResection,
     is_before,
-    with_places,
 )
 from optnav_cli.fix import (
     Evidence,
@@ -60,6 +59,7 @@ class PickedFrames:
     attitude: FileAttitude
     settings: PointsSettings
     construction: Construction = "least_squares"
+    judges_lens: bool = True  # whether a lens is refused against which the points speak
 
     @property
     def body(self) -> Body:
@@ -117,7 +117,7 @@ class _FrameOfPoints:
             place, covariance, turn = self._constructed(found)
         solved = Pose(place, found.pose.camera_from_body if turn is None else turn)
         if not is_before(solved, self._places[self._in_picture]).any():
-            raise self._mirrored(problem)
+            raise self._mirrored()
         matches = self.rows(found, solved)
         residuals = np.array([m.residual_px for m in matches if m.used])
         evidence = Evidence(
@@ -212,13 +212,26 @@ class _FrameOfPoints:
     def _of_many(self, problem: PickedResection) -> tuple[PickedPose, Reason]:
         found = problem.solve()
         for _ in range(REFRACTION_ROUNDS if self._body.atmosphere else 0):
+            if not is_before(found.pose, problem.points.places_m).any():
+                raise self._mirrored()
+            before = self._low
             self._low = self._zeniths(found.pose) > np.radians(MAX_ZENITH_DEG)
             problem = self._problem(self._refracted(found.pose))
-            found = problem.solve()
+            if len(problem.points) < problem.fewest:
+                raise self._too_low() if found.fits else self._misfit(found)
+            found = problem.solve(found if (before == self._low).all() else None)
         if not found.fits:
-            raise self._misfit(problem, found)
+            raise self._misfit(found)
         if not is_before(found.pose, problem.points.places_m).all():
-            raise self._mirrored(problem)
+            raise self._mirrored()
+        lens = problem.by_another_lens(found) if self._how.judges_lens else None
+        if lens is not None:
+            text = (
+                f"the points fit another focal length, {_longer(lens.focal)}: chi-square "
+                f"{lens.cost:.0f}, {found.cost:.0f} with the one of the camera file; calibrate "
+                "the camera or state its focal_length_error"
+            )
+            raise NoSolutionError(text, ReasonCode.WRONG_LENS)
         rival = problem.rival_of(found)
         if rival is not None and is_before(rival.pose, problem.points.places_m).all():
             chosen = problem.with_all_leans(self._decided([found, rival]))
@@ -236,7 +249,7 @@ class _FrameOfPoints:
             if is_before(pose.pose, problem.points.places_m).all()
         ]
         if not found:
-            raise self._mirrored(problem)
+            raise self._mirrored()
         return self._decided(found)
 
     def _decided(self, found: Sequence[PickedPose]) -> PickedPose:
@@ -320,28 +333,35 @@ class _FrameOfPoints:
         refracted: FloatArray = self._places + across / length * bent[:, None]
         return refracted
 
-    def _mirrored(self, problem: PickedResection) -> NoSolutionError:
+    def _mirrored(self) -> NoSolutionError:
         text = "the points are seen so from below the ground only: a mirrored picture"
-        others = self._readings(problem)
+        others = self._readings()
         if others:
             text += f"; they fit {others}"
         return NoSolutionError(text, ReasonCode.MIRRORED)
 
-    def _misfit(self, problem: PickedResection, found: PickedPose) -> NoSolutionError:
+    def _too_low(self) -> NoSolutionError:
+        text = (
+            f"{self._low.sum()} of {len(self._low)} points are seen more than {MAX_ZENITH_DEG:g} "
+            "deg from the vertical, through much air; pick points nearer to the nadir"
+        )
+        return NoSolutionError(text, ReasonCode.FEW_POINTS)
+
+    def _misfit(self, found: PickedPose) -> NoSolutionError:
         """Why points do not fit, as far as another reading of them says."""
         left_out = int((~found.used).sum())
         text = (
             f"the points do not fit one pose: {left_out} of {len(found.used)} disagree, chi-square "
             f"{found.cost:.0f} of the others for {found.freedom} degrees of freedom"
         )
-        others = self._readings(problem)
+        others = self._readings()
         if others:
             return NoSolutionError(f"{text}; they fit {others}", ReasonCode.POINTS_DISAGREE)
         return NoSolutionError(
             f"{text}; check the coordinates, their sigmas and the lens", ReasonCode.POINTS_DISAGREE
         )
 
-    def _readings(self, problem: PickedResection) -> str:
+    def _readings(self) -> str:
         """Other readings of the coordinates, in words, by which the points fit one pose."""
         settings, lat, lon = self._how.settings, self._latlon[:, 0], self._latlon[:, 1]
         geodetic = settings.latitude == "geodetic"
@@ -361,17 +381,18 @@ class _FrameOfPoints:
         if low <= 1e3 * self._heights.min() and 1e3 * self._heights.max() <= high:
             words = "with heights 1000 times larger: height_m is in metres"
             tries.append((words, self._latlon, 1e3 * self._heights, settings))
-        some = self._in_picture & ~self._low
+        # which places are seen through much air hangs on the reading
+        self._low = np.zeros(len(self._points), dtype=bool)
         found = []
         for text, latlon, heights, how in tries:
-            places = self._placed(latlon, heights, how)[some]
-            if _fits(with_places(problem, places), places):
+            problem = self._problem(self._placed(latlon, heights, how))
+            if _fits(problem):
                 found.append(text)
-        free = replace(problem.lens, focal=0.3)
+        problem = self._problem(self._places).any_lens
         if not found and len(problem.points) > 4:
-            lens = _solved(replace(problem, lens=free))
+            lens = _solved(problem)
             if lens is not None and lens.fits:
-                found.append(f"with a focal length {100.0 * lens.focal:+.1f} % longer")
+                found.append(f"with a focal length {_longer(lens.focal)}")
         return ", or ".join(found)
 
 
@@ -382,7 +403,12 @@ def _solved(problem: PickedResection) -> PickedPose | None:
         return None
 
 
-def _fits(problem: PickedResection, places_m: FloatArray) -> bool:
+def _fits(problem: PickedResection) -> bool:
     found = _solved(problem)
-    seen: BoolArray = is_before(found.pose, places_m) if found else np.zeros(1, dtype=bool)
-    return found is not None and found.fits and bool(seen.all())
+    if found is None or not found.fits:
+        return False
+    return bool(is_before(found.pose, problem.points.places_m).all())
+
+
+def _longer(share: float) -> str:
+    return f"{100.0 * abs(share):.1f} % {'longer' if share > 0.0 else 'shorter'}"

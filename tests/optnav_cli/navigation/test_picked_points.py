@@ -179,6 +179,49 @@ def test_a_lens_wrong_by_a_tenth_is_named_or_held_by_its_sigma(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("change", "words"),
+    [(exchanged, "lat_deg and lon_deg are exchanged"), (west, "taken as west")],
+)
+def test_a_mirrored_ground_is_said_to_be_so_through_air_too(tmp_path, change, words):
+    made = scene(6, body="earth")
+    rows = rows_of(made)
+    change(rows)
+    (row,), _ = solved(write_picked(tmp_path / "f", made, rows), tmp_path / "run")
+    assert row.reason_code == ReasonCode.MIRRORED
+    assert words in row.reason
+
+
+def test_points_seen_through_much_air_are_counted(tmp_path):
+    made = scene(1, 9, off_deg=67.0, body="earth")
+    (row,), _ = solved(write_picked(tmp_path / "f", made, rows_of(made)), tmp_path / "run")
+    assert row.reason_code == ReasonCode.FEW_POINTS
+    assert "9 of 9 points are seen more than 70 deg from the vertical" in row.reason
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+@pytest.mark.parametrize("stated", [0.0, 0.005])
+def test_a_tele_lens_wrong_by_a_tenth_is_no_position_of_small_sigma(tmp_path, factor, stated):
+    made = scene(3, body="earth")
+    folder = write_picked(tmp_path / "f", made, rows_of(made))
+    lens = folder / "cameras/tele.toml"
+    text = lens.read_text().replace("62400", f"{62400 * factor:.0f}")
+    lens.write_text(text + f"focal_length_error = {stated}\n")
+    (row,), _ = solved(folder, tmp_path / "run")
+    assert not row.solved
+    assert "focal length" in row.reason
+    assert ("shorter" if factor > 1.0 else "longer") in row.reason
+
+
+def test_a_lens_off_by_less_than_points_can_tell_is_not_refused(tmp_path):
+    made = scene(3, body="earth")
+    folder = write_picked(tmp_path / "f", made, rows_of(made))
+    lens = folder / "cameras/tele.toml"
+    lens.write_text(lens.read_text().replace("62400", "62960"))
+    (row,), _ = solved(folder, tmp_path / "run")
+    assert row.solved
+
+
+@pytest.mark.parametrize(
     ("column", "value", "words"),
     [
         (SIGMA_PX, 0, "line 3: sigma_px is 0"),
