@@ -107,6 +107,11 @@ def told_apart(value: float, limit: float, decimals: int) -> tuple[str, str]:
     return f"{value:.{decimals}f}", f"{limit:.{decimals}f}"
 
 
+def longer(share: float) -> str:
+    """By how much a length is longer than another, in words: "9.7 % shorter" of -0.097."""
+    return f"{100.0 * abs(share):.1f} % {'longer' if share > 0.0 else 'shorter'}"
+
+
 @dataclass(frozen=True)
 class Reason:
     """A reason: its code and its sentence; false where there is nothing to say."""

@@ -44,7 +44,7 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picked_points import PickedPoint, places_of
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
 from optnav_cli.navigation.settings import Construction
-from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, longer
 
 PRIOR_SIGMAS = 5.0  # within which a prior decides between poses
 MAX_ZENITH_DEG = 70.0  # the formula of refraction is a few per cent off there, and grows
@@ -227,7 +227,7 @@ class _FrameOfPoints:
         lens = problem.by_another_lens(found) if self._how.judges_lens else None
         if lens is not None:
             text = (
-                f"the points fit another focal length, {_longer(lens.focal)}: chi-square "
+                f"the points fit another focal length, {longer(lens.focal)}: chi-square "
                 f"{lens.cost:.0f}, {found.cost:.0f} with the one of the camera file; calibrate "
                 "the camera or state its focal_length_error"
             )
@@ -392,7 +392,7 @@ class _FrameOfPoints:
         if not found and len(problem.points) > 4:
             lens = _solved(problem)
             if lens is not None and lens.fits:
-                found.append(f"with a focal length {_longer(lens.focal)}")
+                found.append(f"with a focal length {longer(lens.focal)}")
         return ", or ".join(found)
 
 
@@ -408,7 +408,3 @@ def _fits(problem: PickedResection) -> bool:
     if found is None or not found.fits:
         return False
     return bool(is_before(found.pose, problem.points.places_m).all())
-
-
-def _longer(share: float) -> str:
-    return f"{100.0 * abs(share):.1f} % {'longer' if share > 0.0 else 'shorter'}"

@@ -23,7 +23,7 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import cross_matrix
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.stars.spots import StarSpots
-from optnav_cli.reasons import ReasonCode
+from optnav_cli.reasons import ReasonCode, longer
 
 MAX_PAIR_DEG = 25.0
 WANTED_IN_VIEW = 30.0  # stars of the catalog in a frame, as far as it goes so faint
@@ -385,14 +385,15 @@ def _angles_of(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _wrong_lens(scale: float) -> NoSolutionError:
-    text = f"the focal length is wrong: the stars fit one {100.0 * (scale - 1.0):+.1f} % longer"
+    text = f"the focal length is wrong: the stars fit one {longer(scale - 1.0)}"
     return NoSolutionError(text, ReasonCode.WRONG_LENS)
 
 
 def _too_few(spots: StarSpots) -> str:
     if len(spots) >= MIN_STARS:
         return f"most spots are no points, {len(spots)} are{_besides(spots)}"
-    return f"{len(spots)} spots are fewer than the {MIN_STARS} stars wanted{_besides(spots)}"
+    seen = "1 spot is" if len(spots) == 1 else f"{len(spots)} spots are"
+    return f"{seen} fewer than the {MIN_STARS} stars wanted{_besides(spots)}"
 
 
 def _besides(spots: StarSpots) -> str:

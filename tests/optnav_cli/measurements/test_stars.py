@@ -19,7 +19,7 @@ from optnav_cli.frames.picture import load_picture
 from optnav_cli.measurements.stars.identify import StarIdentifier
 from optnav_cli.measurements.stars.sky import SkyView, star_sight
 from optnav_cli.measurements.stars.spots import StarSpots, find_spots
-from optnav_cli.reasons import ReasonCode
+from optnav_cli.reasons import ReasonCode, longer
 from tests.optnav_cli.made_skies import (
     CAMERA,
     UTC,
@@ -121,7 +121,7 @@ def test_a_mirrored_picture_is_said_to_be_mirrored():
 def test_a_focal_length_wrong_by_up_to_ten_per_cent_is_named(factor):
     error = refusal(drawn_sky(ORION, CAMERA.with_focal_factor(factor)))
     assert error.code == ReasonCode.WRONG_LENS
-    assert f"{100.0 * (factor - 1.0):+.1f} %" in str(error)
+    assert longer(factor - 1.0) in str(error)
 
 
 def test_trailed_stars_are_named():
