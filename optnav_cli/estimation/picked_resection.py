@@ -161,9 +161,12 @@ class PickedResection:
         if found.freedom <= 2:
             return None
         try:
-            other = self.any_lens._fitted(found.used, found.pose)
+            # weighted as the first fit is: a nearer pose makes more of the places' errors, and with
+            # them a lower cost of any lens
+            near = self.any_lens._estimate(found.used, found.pose, rounds=1)
         except NoSolutionError:
             return None
+        other = self._pose_of(near, found.used)
         return other if found.cost - other.cost > _quantile(FIT_PROBABILITY, 1) else None
 
     def with_all_leans(self, found: PickedPose) -> PickedPose:
@@ -343,12 +346,18 @@ class PickedResection:
     def _fitted(self, used: BoolArray, start: Pose) -> PickedPose:
         return self._pose_of(self._estimate(used, start), used)
 
-    def _estimate(self, used: BoolArray, start: Pose, most: float = np.inf) -> Estimate[LensPose]:
-        """The fit of some points. Raises NoSolutionError."""
+    def _estimate(
+        self, used: BoolArray, start: Pose, most: float = np.inf, rounds: int = 2
+    ) -> Estimate[LensPose]:
+        """The fit of some points. Raises NoSolutionError.
+
+        most    cost that ends it, see `Iteration.max_cost`
+        rounds  of weighting: those of places hang on the distance, which is known after one
+        """
         points, lens = self.points.subset(used), self.lens
         iteration = replace(_ITERATION, max_cost=most)
         state = LensPose(start, 0.0, np.zeros(2))
-        for _ in range(2):  # the weights of places hang on the distance, which is known after one
+        for _ in range(rounds):
             models: list[LensPoints | LensErrors | StatedAttitude] = [
                 LensPoints(self.camera, points.sightings(self.camera, state.pose), lens)
             ]
