@@ -9,17 +9,17 @@ import math
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel, kernel
 
 STRIPS, DUSK_STRIPS = 48, 12  # of the seen surface that is lit by all, and by a part, of the source
 DARKEST, STEEPEST = 0.02, 1.5  # least cosine under a logarithm, largest angle of a tangent
 HALF_ROOT = math.sqrt(0.5)
 REACH_SIGMAS = 6.5  # of the blur that are drawn
-LOBES = (8.0, 20.0, 50.0)  # exponents of the lobes of gloss
+LOBES = (8, 20, 50)  # exponents of the lobes of gloss
 LIT = 4 + len(LOBES)  # terms of the light: Lambert, two of Minnaert, rough facets, lobes
 
 
-@kernel
+@bare_kernel
 def _lit_brightness(
     psi: float, middle: float, theta: float, source: float, found: FloatArray
 ) -> None:
@@ -67,16 +67,16 @@ def drawn_columns(
     found[:, 0] = 1.0
     widest = math.acos(radius / distance)
     limb = math.asin(radius / distance)
-    one = np.ones(1)
     low, high = centre + focal * math.tan(axis - limb), centre + focal * math.tan(axis + limb)
-    _add_strip(columns, low, high, blur, one, one, found[:, 1:2])
+    edge, known = np.empty((columns.size, 2)), (0, 0)
+    _add_strip(columns, low, high, blur, np.ones((2, 1)), found[:, 1:2], edge, known)
     side = 1.0 if theta >= 0.0 else -1.0
     # measured to the lit side, from the terminator on
     risen = min(max(abs(theta) - 0.5 * math.pi + source, -widest), widest)
     begun = min(max(abs(theta) - 0.5 * math.pi - source, -widest), widest)
     far = min(abs(theta) + 0.5 * math.pi + source, widest)
-    here, there = np.empty(LIT), np.empty(LIT)
-    left = 0.0
+    ends, lit = np.empty((2, LIT)), found[:, 2:]
+    last = 0.0
     for j in range(DUSK_STRIPS + STRIPS + 1):
         if j <= DUSK_STRIPS:
             psi = begun + (risen - begun) * j / DUSK_STRIPS
@@ -84,39 +84,50 @@ def drawn_columns(
             psi = risen + (far - risen) * (j - DUSK_STRIPS) / STRIPS
         psi *= side
         middle = math.atan2(radius * math.sin(psi), distance - radius * math.cos(psi))
-        right = centre + focal * math.tan(axis + middle)
-        _lit_brightness(psi, middle, theta, source, there)
-        if j > 0 and side > 0.0:
-            _add_strip(columns, left, right, blur, here, there, found[:, 2:])
-        elif j > 0:
-            _add_strip(columns, right, left, blur, there, here, found[:, 2:])
-        left = right
-        here[:] = there
+        fresh = centre + focal * math.tan(axis + middle)
+        _lit_brightness(psi, middle, theta, source, ends[1])
+        if j > 0 and (fresh - last) * side > 0.0:
+            known = _add_strip(columns, last, fresh, blur, ends, lit, edge, known)
+        else:
+            known = 0, 0
+        last = fresh
+        ends[0] = ends[1]
     return found
 
 
-@kernel
+@bare_kernel
 def _add_strip(
     columns: FloatArray,
-    left: float,
-    right: float,
+    last: float,
+    fresh: float,
     blur: float,
-    here: FloatArray,
-    there: FloatArray,
+    ends: FloatArray,
     found: FloatArray,
-) -> None:
-    """Add a strip from left to right, px, whose k brightnesses go from here to there, to (n, k)."""
-    width = right - left
-    if not width > 0.0:
-        return
-    reach = REACH_SIGMAS * blur
-    begin = max(math.floor(left - reach - columns[0]), 0)
-    end = min(math.ceil(right + reach - columns[0]) + 1, columns.size)
+    edge: FloatArray,
+    known: tuple[int, int],
+) -> tuple[int, int]:
+    """Add a strip between two edges, px, whose k brightnesses (2, k) go from one to the other.
+
+    last   the edge that it has in common with the strip before; fresh is the other one
+    found  (n, k)
+    edge   (n, 2) share and bell of the last edge for the columns from known[0] to known[1], those
+           of the fresh one afterwards
+    Returns the columns for which they are.
+    """
+    reach, side = REACH_SIGMAS * blur, 1.0 if fresh > last else -1.0
+    begin = max(math.floor(min(last, fresh) - reach - columns[0]), 0)
+    end = min(math.ceil(max(last, fresh) + reach - columns[0]) + 1, columns.size)
     for i in range(begin, end):
-        low, high = (left - columns[i]) / blur, (right - columns[i]) / blur
-        whole = 0.5 * (math.erf(high * HALF_ROOT) - math.erf(low * HALF_ROOT))
-        bells = math.exp(-0.5 * low * low) - math.exp(-0.5 * high * high)
+        if not known[0] <= i < known[1]:
+            off = (last - columns[i]) / blur
+            edge[i, 0], edge[i, 1] = math.erf(off * HALF_ROOT), math.exp(-0.5 * off * off)
+        off = (fresh - columns[i]) / blur
+        share, bell = math.erf(off * HALF_ROOT), math.exp(-0.5 * off * off)
+        whole, bells = 0.5 * side * (share - edge[i, 0]), side * (edge[i, 1] - bell)
+        edge[i, 0], edge[i, 1] = share, bell
         # the mean of how far along the strip the light of the column comes from
-        along = (bells * blur / math.sqrt(2.0 * math.pi) + (columns[i] - left) * whole) / width
-        for k in range(here.size):
-            found[i, k] += whole * here[k] + along * (there[k] - here[k])
+        along = bells * blur / math.sqrt(2.0 * math.pi) + (columns[i] - last) * whole
+        along /= fresh - last
+        for k in range(ends.shape[1]):
+            found[i, k] += whole * ends[0, k] + along * (ends[1, k] - ends[0, k])
+    return begin, end
