@@ -141,8 +141,7 @@ class PickedResection:
             return None
         start = _tilted_over(found.pose, self.points.places_m[found.used])
         try:
-            hopeless = HOPELESS * (found.cost + RIVAL_COST)
-            other = self._pose_of(self._estimate(found.used, start, hopeless), found.used)
+            other = self._fitted(found.used, start, most=HOPELESS * (found.cost + RIVAL_COST))
         except NoSolutionError:
             return None
         apart = other.pose.position_m - found.pose.position_m
@@ -163,10 +162,9 @@ class PickedResection:
         try:
             # weighted as the first fit is: a nearer pose makes more of the places' errors, and with
             # them a lower cost of any lens
-            near = self.any_lens._estimate(found.used, found.pose, rounds=1)
+            other = self.any_lens._fitted(found.used, found.pose, rounds=1)
         except NoSolutionError:
             return None
-        other = self._pose_of(near, found.used)
         return other if found.cost - other.cost > _quantile(FIT_PROBABILITY, 1) else None
 
     def with_all_leans(self, found: PickedPose) -> PickedPose:
@@ -245,8 +243,7 @@ class PickedResection:
         """The same with points that agree after all."""
         if found.used.all():
             return found
-        seen = self.points.sightings(self.camera, found.pose)
-        squares = _squares(found.residuals_px, seen.covariances_px2)
+        squares = self._squares(found.pose, found.residuals_px)
         agreeing = found.used | (squares < _quantile(GATE_PROBABILITY, 2))
         if (agreeing == found.used).all():
             return found
@@ -268,23 +265,26 @@ class PickedResection:
                 pose = self._start(used)
             except (NoSolutionError, cv2.error):
                 continue
-            seen = self.points.sightings(self.camera, pose)
-            pixels, _ = predict(self.camera, pose, self.points.places_m)
-            squares = _squares(self.points.pixels - pixels, seen.covariances_px2)
+            squares = self._squares(pose)
             inside = squares < gate
             tried.append((-int(inside.sum()), float(squares[inside].sum()), pose))
         for count, _, pose in sorted(tried, key=lambda one: one[:2])[:3]:
             if -count < self.fewest:
                 break
-            seen = self.points.sightings(self.camera, pose)
-            pixels, _ = predict(self.camera, pose, self.points.places_m)
-            inside = _squares(self.points.pixels - pixels, seen.covariances_px2) < gate
-            found = self._without_blunders(inside, pose)
+            found = self._without_blunders(self._squares(pose) < gate, pose)
             if found is not None and (
                 best is None or (found.fits, found.used.sum()) > (best.fits, best.used.sum())
             ):
                 best = found
         return best
+
+    def _squares(self, pose: Pose, off_px: FloatArray | None = None) -> FloatArray:
+        """Squares (n,) of residuals over their errors; of the camera's own lens, or those given."""
+        seen = self.points.sightings(self.camera, pose)
+        if off_px is None:
+            off_px = self.points.pixels - predict(self.camera, pose, self.points.places_m)[0]
+        squares = np.einsum("ni,nij,nj->n", off_px, np.linalg.inv(seen.covariances_px2), off_px)
+        return np.where(np.isfinite(squares), squares, np.inf)
 
     def _one_left_out(self, best: PickedPose) -> PickedPose:
         """The best fit with each point left out in turn, where few points stand against one.
@@ -343,8 +343,11 @@ class PickedResection:
         rays = self.rays[used]
         return self.points.places_m[used] - middle, middle, rays[:, :2] / rays[:, 2:]
 
-    def _fitted(self, used: BoolArray, start: Pose) -> PickedPose:
-        return self._pose_of(self._estimate(used, start), used)
+    def _fitted(
+        self, used: BoolArray, start: Pose, most: float = np.inf, rounds: int = 2
+    ) -> PickedPose:
+        """The pose of `_estimate`."""
+        return self._pose_of(self._estimate(used, start, most, rounds), used)
 
     def _estimate(
         self, used: BoolArray, start: Pose, most: float = np.inf, rounds: int = 2
@@ -377,15 +380,8 @@ class PickedResection:
         predicted = middle + state.shift_px + (1.0 + state.focal) * (pixels - middle)
         cost, freedom = estimate.cost, estimate.degrees_of_freedom
         covariance = estimate.covariance[:6, :6] * _widening(cost, freedom)
-        return PickedPose(
-            state.pose,
-            covariance,
-            used,
-            self.points.pixels - predicted,
-            cost,
-            freedom,
-            state.focal,
-        )
+        left_px = self.points.pixels - predicted
+        return PickedPose(state.pose, covariance, used, left_px, cost, freedom, state.focal)
 
     def _snooped(
         self, estimate: Estimate[LensPose], used: BoolArray
@@ -419,11 +415,6 @@ def is_before(pose: Pose, places_m: FloatArray) -> BoolArray:
     to_camera = pose.position_m - places_m
     facing: BoolArray = np.einsum("ni,ni->n", to_camera, places_m) > 0.0
     return facing
-
-
-def _squares(residuals_px: FloatArray, covariances_px2: FloatArray) -> FloatArray:
-    squares = np.einsum("ni,nij,nj->n", residuals_px, np.linalg.inv(covariances_px2), residuals_px)
-    return np.where(np.isfinite(squares), squares, np.inf)
 
 
 def _samples(count: int, size: int) -> Iterator[tuple[int, ...]]:

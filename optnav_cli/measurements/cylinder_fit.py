@@ -15,7 +15,6 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
-from catalog.geometry.kernel import kernel
 from optnav_cli.estimation.least_squares import (
     Estimate,
     Linearisation,
@@ -28,6 +27,8 @@ from optnav_cli.measurements.cylinder import (
     CylinderSize,
     cylinder_sizes,
     half_width,
+    psi_of,
+    surface_distance,
 )
 from optnav_cli.measurements.cylinder_brightness import LOBES, drawn_columns
 from optnav_cli.measurements.cylinder_profile import CylinderProfile
@@ -178,9 +179,17 @@ class HeightModel:
     def predicted(self, state: FloatArray) -> FloatArray:
         """(m,) px."""
         lens, size = self._lens, self._size
-        focal, centre = lens.focal_x_px, lens.centre_x_px
-        heights = _mixed_heights(self._columns, state, size.radius_m, focal, centre)
-        return lens.focal_y_px * size.height_m * heights
+        distance, axis, theta = state[:3]
+        mixed = self._columns + math.exp(state[BLUR]) * BLUR_SIGMAS[:, None]
+        bearings = np.arctan((mixed - lens.centre_x_px) / lens.focal_x_px)
+        psi = psi_of(bearings - axis, size.radius_m, distance)
+        depth = surface_distance(psi, size.radius_m, distance) * np.cos(bearings)
+        seen = np.abs(bearings - axis) < half_width(size.radius_m, distance)
+        light = np.maximum(np.cos(psi - theta), 0.0) + DUSK
+        shares = BLUR_SHARES[:, None] * np.where(seen, light, 1e-9)
+        heights = lens.focal_y_px * size.height_m * (shares / depth).sum(axis=0)
+        found: FloatArray = heights / shares.sum(axis=0)
+        return found
 
     def inside(self, state: FloatArray) -> FloatArray:
         """(m,) 1 where a column is far enough from the limbs, else 0."""
@@ -205,31 +214,6 @@ class HeightModel:
         # a ragged edge, or a body that is none, pulls no further than its share
         scale = np.sqrt(weights) * np.abs(residuals)
         return linearised(residuals, jacobian, weights / np.maximum(scale / 3.0, 1.0))
-
-
-@kernel
-def _mixed_heights(
-    columns: FloatArray, state: FloatArray, radius: float, focal: float, centre: float
-) -> FloatArray:
-    """Mean (m,) of 1 / depth over what blur mixes into columns (m,), by its light; 1/m."""
-    distance, axis, theta, blur = state[DISTANCE], state[BEARING], state[THETA], state[BLUR]
-    limb, spread = math.asin(radius / distance), math.exp(blur)
-    found = np.empty(columns.size)
-    for i in range(columns.size):
-        total = weight = 0.0
-        for k in range(BLUR_SIGMAS.size):
-            across = (columns[i] + spread * BLUR_SIGMAS[k] - centre) / focal
-            bearing = math.atan(across) - axis
-            sine = distance / radius * math.sin(bearing)
-            psi = math.asin(min(max(sine, -1.0), 1.0)) - bearing
-            square = distance**2 + radius**2 - 2.0 * distance * radius * math.cos(psi)
-            # the cosine of the bearing from the boresight makes it a depth
-            depth = math.sqrt(square / (1.0 + across * across))
-            light = max(math.cos(psi - theta), 0.0) + DUSK if abs(bearing) < limb else 1e-9
-            total += BLUR_SHARES[k] * light / depth
-            weight += BLUR_SHARES[k] * light
-        found[i] = total / weight
-    return found
 
 
 def fit_cylinder(profile: CylinderProfile, lens: IdealLens, size: CylinderSize) -> CylinderFit:

@@ -4,20 +4,19 @@ The threshold adapts to the picture: well above the sky's noise, and a small sha
 lit ground's level, so that a faint cusp still belongs to the body and stray light does not.
 """
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, Int32Array, IntArray
+from catalog.cache import Cache
 from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
 from optnav_cli.reasons import ReasonCode
-
-Made = TypeVar("Made")
 
 BLOCK_PX = 16
 SKY_QUANTILE = 0.05  # of the blocks' means: the darkest parts of the picture are sky or night
@@ -28,6 +27,7 @@ MIN_CONTRAST_SIGMAS = 12.0
 # Rounding to whole counts hides a smaller noise: the variance of a uniform step of 1.
 ROUNDING_VARIANCE = 1.0 / 12.0
 HALO_PX = 6  # about a lit area its blur still shines
+MADE = 8  # things held that readers made of one picture
 # Stripes: seen in strips so wide at two opposite edges, whose correlation must be so high; smeared
 # pictures of 67P have 0.99.
 STRIPE_PX, MIN_ALIKE_STRIPES = 4, 0.95
@@ -80,7 +80,8 @@ class Segmented:
 
     def __init__(self, picture: Float32Array) -> None:
         self.picture = np.ascontiguousarray(picture, dtype=np.float32)
-        self._made: dict[Hashable, Any] = {}
+        # what a reader makes of the picture, by its own key
+        self.made: Cache[Hashable, Any] = Cache(MADE)
 
     @cached_property
     def levels(self) -> Levels:
@@ -91,13 +92,6 @@ class Segmented:
     def blobs(self) -> Blobs:
         """The areas above the levels' threshold."""
         return lit_blobs(self.picture, self.levels.threshold)
-
-    def once(self, name: Hashable, make: Callable[[], Made]) -> Made:
-        """What something makes of the picture, made by the first who asks for it by this name."""
-        if name not in self._made:
-            self._made[name] = make()
-        made: Made = self._made[name]
-        return made
 
 
 def measure_levels(picture: Float32Array) -> Levels:

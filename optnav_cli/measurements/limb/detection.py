@@ -103,7 +103,7 @@ def find_limb(
     space = _space(stretch)
     levels, blobs = areas.levels, areas.blobs
     checks.check_blobs(picture, blobs, levels, full)
-    candidates, everywhere = areas.once(
+    candidates, everywhere = areas.made.get(
         ("edges", camera, space.tobytes()), lambda: _edges(areas, camera, space)
     )
     cone, kept = _first_cone(
