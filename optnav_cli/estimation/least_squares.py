@@ -62,6 +62,11 @@ class VectorPrior:
         """The expectation at a state."""
         return linearised(self._expected - state[self._part], self._jacobian, self._weights)
 
+    def cost(self, state: FloatArray) -> float:
+        """What `linearise` costs."""
+        off = self._expected - state[self._part]
+        return float(self._weights @ (off * off))
+
 
 @dataclass(frozen=True)
 class Iteration:

@@ -10,6 +10,7 @@ expected sizes are wide enough for cloth, paper and paint, so that covariances h
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -104,6 +105,13 @@ class CylinderFit:
     middle_row_px: float
 
 
+class CostedModel(Model[FloatArray], Protocol):
+    """A kind of measurement whose cost alone is had for less than its derivatives."""
+
+    def cost(self, state: FloatArray) -> float:
+        """What `linearise` costs."""
+
+
 class ProfileModel:
     """Mean brightness of the columns."""
 
@@ -115,11 +123,22 @@ class ProfileModel:
         sigma = np.sqrt((profile.sigma / profile.bright) ** 2 + (EDGE_PX * slope) ** 2 + model**2)
         self.weights = 1.0 / np.maximum(sigma, DARK_SHARE) ** 2
         self.noise_weights = (profile.bright / profile.sigma) ** 2
+        self._kept = np.full(LINEAR, np.nan), np.empty((0, 0))
 
     def design(self, state: FloatArray) -> FloatArray:
-        """(n, LIT + 2) brightness by each linear unknown."""
+        """(n, LIT + 2) brightness by each linear unknown; that of the last place is kept."""
+        if not np.array_equal(self._kept[0], state[:LINEAR]):
+            self._kept = state[:LINEAR].copy(), self._drawn(state)
+        return self._kept[1]
+
+    def _drawn(self, state: FloatArray) -> FloatArray:
         lens = self._lens
         return drawn_columns(self.columns, state, self._radius, lens.focal_x_px, lens.centre_x_px)
+
+    def cost(self, state: FloatArray) -> float:
+        """What `linearise` costs."""
+        off = self.measured - self.design(state) @ _strengths(state)
+        return float(self.weights @ (off * off))
 
     def linearise(self, state: FloatArray) -> Linearisation:
         """Residuals, and derivatives by differences for what is not linear."""
@@ -132,7 +151,7 @@ class ProfileModel:
             moved, back = state.copy(), state.copy()
             moved[k] += STEP
             back[k] -= STEP
-            jacobian[:, k] = (self.design(moved) - self.design(back)) @ weights / (2.0 * STEP)
+            jacobian[:, k] = (self._drawn(moved) - self._drawn(back)) @ weights / (2.0 * STEP)
         return linearised(self.measured - design @ weights, jacobian, self.weights)
 
     def started(self, state: FloatArray, light: float | None = None) -> tuple[float, FloatArray]:
@@ -200,27 +219,37 @@ class HeightModel:
 
     def linearise(self, state: FloatArray) -> Linearisation:
         """Residuals and derivatives by differences."""
-        residuals = self._heights - self.predicted(state)
         jacobian = np.zeros((self._heights.size, UNKNOWNS))
         for k in (DISTANCE, BEARING):
             moved, back = state.copy(), state.copy()
             moved[k] += STEP
             back[k] -= STEP
             jacobian[:, k] = (self.predicted(moved) - self.predicted(back)) / (2.0 * STEP)
+        residuals, weights = self._weighted(state)
+        return linearised(residuals, jacobian, weights)
+
+    def cost(self, state: FloatArray) -> float:
+        """What `linearise` costs."""
+        residuals, weights = self._weighted(state)
+        return float(weights @ (residuals * residuals))
+
+    def _weighted(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (m,), px, and their weights."""
+        residuals = self._heights - self.predicted(state)
         weights = self._weights * self.inside(state)
         # neighbouring columns have the same errors of edge and blur: they count as a few
         count = max(float(np.count_nonzero(weights)), 1.0)
         weights = weights * min(1.0, HEIGHT_COUNT / count)
         # a ragged edge, or a body that is none, pulls no further than its share
         scale = np.sqrt(weights) * np.abs(residuals)
-        return linearised(residuals, jacobian, weights / np.maximum(scale / 3.0, 1.0))
+        return residuals, weights / np.maximum(scale / 3.0, 1.0)
 
 
 def fit_cylinder(profile: CylinderProfile, lens: IdealLens, size: CylinderSize) -> CylinderFit:
     """The cylinder that a profile shows. Raises NoSolutionError where it shows none."""
     brightness = ProfileModel(profile, lens, size.radius_m)
     heights = HeightModel(profile, lens, size)
-    others: list[Model[FloatArray]] = [
+    others: list[CostedModel] = [
         VectorPrior(LINEAR, EXPECTED, SIGMAS, UNKNOWNS),
         VectorPrior(BLUR, WIDTHS, WIDTH_SIGMAS, UNKNOWNS),
         heights,
@@ -249,7 +278,7 @@ def fit_cylinder(profile: CylinderProfile, lens: IdealLens, size: CylinderSize) 
 
 def _refined(
     brightness: ProfileModel,
-    others: Sequence[Model[FloatArray]],
+    others: Sequence[CostedModel],
     near: FloatArray,
     best: Estimate[FloatArray] | None,
     size: CylinderSize,
@@ -275,7 +304,7 @@ def _refined(
 
 def _settled(
     brightness: ProfileModel,
-    others: Sequence[Model[FloatArray]],
+    others: Sequence[CostedModel],
     start: FloatArray,
     nearest_m: float,
 ) -> Estimate[FloatArray]:
@@ -285,7 +314,7 @@ def _settled(
     the lens, by the source or by the cloth looks the same over wide ranges.
     Raises NoSolutionError where it does not settle or an unknown is open.
     """
-    models: tuple[Model[FloatArray], ...] = (brightness, *others)
+    models: tuple[CostedModel, ...] = (brightness, *others)
     state, damping = start, DAMPING
     terms = tuple(model.linearise(state) for model in models)
     for _ in range(MAX_STEPS):
@@ -301,12 +330,12 @@ def _settled(
         if not trials:
             damping /= EASED
             continue
-        linear = [tuple(model.linearise(one) for model in models) for one in trials]
-        costs = [sum(term.cost for term in tried) for tried in linear]
+        costs = [sum(model.cost(one) for model in models) for one in trials]
         least = int(np.argmin(costs))
         fall = cost - costs[least]
         if fall >= 0.0:
-            state, terms = trials[least], linear[least]
+            state = trials[least]
+            terms = tuple(model.linearise(state) for model in models)
         damping *= EASED if fall >= 0.0 else 1.0 / EASED
         if (0.0 <= fall < SETTLED and damping < DAMPING) or damping > MAX_DAMPING:
             normal = np.sum([term.normal for term in terms], axis=0)

@@ -72,6 +72,7 @@ def test_a_prior_is_a_measurement_and_makes_up_for_missing_ones():
     assert found.state == pytest.approx([5.0, 0.7])
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx([0.5, 0.1])
     assert found.degrees_of_freedom == 3
+    assert slope.cost(np.array([9.0, 1.0])) == slope.linearise(np.array([9.0, 1.0])).cost > 8.9
 
 
 def test_limited_steps_settle_what_plain_steps_do_not():

@@ -16,7 +16,7 @@ from optnav_cli.measurements.cylinder import (
     seed_distance_and_angle,
     surface_distance,
 )
-from optnav_cli.measurements.cylinder_fit import IdealLens, fit_cylinder
+from optnav_cli.measurements.cylinder_fit import HeightModel, IdealLens, ProfileModel, fit_cylinder
 from optnav_cli.measurements.cylinder_profile import measure_profile
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
@@ -93,6 +93,17 @@ def test_a_crescent_states_the_errors_of_grazing_light() -> None:
     assert 1e-4 < sigma[0] < 5e-4
     assert abs(fit.distance_m - 1.3) < 3.0 * sigma[0]
     assert abs(math.degrees(fit.theta) - 138.0) < 3.0 * math.degrees(sigma[2])
+
+
+@pytest.mark.parametrize("model", [ProfileModel, HeightModel])
+def test_a_model_costs_alone_what_it_costs_with_its_derivatives(model: type[HeightModel]) -> None:
+    profile = measure_profile(seen(1.34, 0.01, 40.0), 255.0)
+    fit = fit_cylinder(profile, LENS, SIZE)
+    made = model(profile, LENS, RADIUS if model is ProfileModel else SIZE)
+    for off in (0.0, 0.02, -0.02):
+        state = fit.state.copy()
+        state[:3] += off
+        assert made.cost(state) == made.linearise(state).cost
 
 
 @pytest.mark.parametrize(("theta", "seed"), [(-137.0, 3), (141.0, 4), (93.0, 5)])
