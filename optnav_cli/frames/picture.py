@@ -81,6 +81,19 @@ def load_picture(path: str | Path, camera: Camera | None) -> Picture:
     return Picture(_counts(values).astype(np.float32), saturation)
 
 
+def frame_picture(folder: Path, file: str, camera: Camera) -> Picture:
+    """The picture of a row of a folder's table, which names it as `file`.
+
+    Raises DataError as `load_picture` does; its text names the picture as the row does, so that
+    what is written does not depend on where the folder lies.
+    """
+    path = folder / file.replace("\\", "/")
+    try:
+        return load_picture(path, camera)
+    except DataError as error:
+        raise DataError(str(error).replace(str(path), file)) from None
+
+
 def _counts(values: NDArray[np.generic]) -> NDArray[np.generic]:
     """Values as they are, or brightness as I/F brought to counts, by a power of two.
 

@@ -22,7 +22,7 @@ from optnav_cli.frames.cylinder_folder import (
     read_cylinder_folder,
 )
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.picture import frame_picture
 from optnav_cli.frames.tables import CYLINDER
 from optnav_cli.measurements.cylinder import (
     CRESCENT_DEG,
@@ -131,7 +131,7 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
     settings, camera = folder.settings, folder.cameras[frame.camera]
     size, lens = CylinderSize(settings.radius_m, settings.height_m), ideal_lens(camera)
     try:
-        picture = load_picture(folder.path / frame.file.replace("\\", "/"), camera)
+        picture = frame_picture(folder.path, frame.file, camera)
     except DataError as error:
         return CylinderRow(frame, reason=str(error))
     values, fit = rectified(picture.values, camera), None

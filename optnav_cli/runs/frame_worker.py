@@ -32,7 +32,7 @@ from optnav_cli.fix import MatchKind, Method, NoFix, Solution
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picked_points import POINTS_CSV, PickedPoint
-from optnav_cli.frames.picture import LaterPicture, Picture, load_picture
+from optnav_cli.frames.picture import LaterPicture, Picture, frame_picture
 from optnav_cli.frames.run_settings import RUN_TOML, InertialSettings
 from optnav_cli.measurements.stars.sky import SkyView, StarSight, star_sight
 from optnav_cli.navigation.answers import Answers, NavigationInputs, Outcome
@@ -359,8 +359,8 @@ class FrameWorker:
 
     def _picture(self, frame: Frame, camera: Camera) -> Picture:
         """A frame's picture; the last one is at hand. Raises DataError."""
-        path = self.folder.picture_path(frame)
-        return self._pictures.get(frame.file, lambda: load_picture(path, camera))
+        path, file = self.folder.path, frame.file
+        return self._pictures.get(file, lambda: frame_picture(path, file, camera))
 
 
 def unseen_record() -> FrameRecord:

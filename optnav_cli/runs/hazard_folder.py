@@ -26,7 +26,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.picture import Picture, load_picture
+from optnav_cli.frames.picture import Picture, frame_picture, load_picture
 from optnav_cli.hazard.fusion import PriorSlopes, read_slopes
 from optnav_cli.hazard.ground_view import Heights, KnownPose, look_down, look_from
 from optnav_cli.hazard.hazard_map import HazardMap, check_settings, map_hazard
@@ -205,7 +205,7 @@ def _map_frame(
     try:
         if row.problem or camera is None:
             raise NoSolutionError(row.problem or f"there is no camera '{row.camera}'", "bad_row")
-        frame.picture = load_picture(folder.picture_path(row), camera)
+        frame.picture = frame_picture(folder.path, row.file, camera)
         frame.mapped = _mapped(folder, row, camera, frame.picture, ground, inputs, prior)
     except (NoSolutionError, DataError) as error:
         frame.reason = str(error)

@@ -18,7 +18,7 @@ from catalog.tables import CsvRow
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import read_cameras
 from optnav_cli.frames.frames import MAX_DISTANCE_M
-from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.picture import frame_picture
 from optnav_cli.frames.run_settings import RUN_TOML, read_run_settings
 from optnav_cli.frames.tables import ATTITUDES, POSITION, QUATERNION, STAR_FRAMES
 from optnav_cli.measurements.stars.identify import StarFix, StarIdentifier
@@ -165,7 +165,7 @@ def _row(
             raise DataError(f"the position lies farther off than {MAX_DISTANCE_M:g} m")
         distance = None if place is None else float(np.linalg.norm(place))
         view = SkyView(body, utc_to_tdb_s(utc) if utc else None, distance)
-        picture = load_picture(folder / file, camera)
+        picture = frame_picture(folder, file, camera)
     except DataError as error:
         return StarRow(file, utc, None, None, None, str(error))
     fix, reason = None, ""

@@ -18,7 +18,7 @@ from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.picture import frame_picture
 from optnav_cli.frames.run_settings import RUN_TOML
 from optnav_cli.frames.stereo_mount import MountSettings, stereo_pair
 from optnav_cli.frames.tables import HEIGHTS
@@ -202,7 +202,7 @@ def _measured(
 
 
 def _brightness(folder: Folder, frame: Frame) -> Float32Array:
-    return load_picture(folder.picture_path(frame), folder.cameras[frame.camera]).values
+    return frame_picture(folder.path, frame.file, folder.cameras[frame.camera]).values
 
 
 def _ship_from_body(eye: Eye, frame: Frame) -> Rotation | None:

@@ -400,9 +400,11 @@ def _besides(spots: StarSpots) -> str:
     """What else was seen, in words."""
     parts = []
     if spots.n_trails:
-        parts.append(f"{spots.n_trails} spots are drawn out: trailed stars")
+        are = "1 spot is" if spots.n_trails == 1 else f"{spots.n_trails} spots are"
+        parts.append(f"{are} drawn out: trailed stars")
     if spots.n_hot:
-        parts.append(f"{spots.n_hot} are single hot pixels")
+        hot = "1 is a single hot pixel" if spots.n_hot == 1 else f"{spots.n_hot} are hot pixels"
+        parts.append(hot)
     if spots.body > 0.02:
         parts.append(f"a lit body and its glare take {100.0 * spots.body:.0f} % of the picture")
     return f"; {'; '.join(parts)}" if parts else ""

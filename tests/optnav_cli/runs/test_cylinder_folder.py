@@ -127,6 +127,7 @@ def test_missing_pictures_are_rows_with_a_reason(pictures: Path, tmp_path: Path)
         cylinder_folder(place, tmp_path / "run", "fit", SilentProgress())
     rows = CYLINDER.rows(tmp_path / "run" / "cylinder.csv")
     assert all(row["status"] == "unsolved" and row["reason"] for row in rows)
+    assert rows[0]["reason"].startswith("frame_0000.png: there is no such picture")
 
 
 def test_a_craft_inside_the_cylinder_is_refused() -> None:

@@ -174,6 +174,7 @@ def test_a_frame_that_cannot_be_used_says_why(mixed_run, name):
     (row,) = [row for row in rows_of(run / "solution.csv") if row["file"] == name]
     assert row["status"] == "unsolved"
     assert BAD[name] in row["reason"]
+    assert "/" not in row["reason"]  # nor where the folder lies
     for column in ("x_m", "cov_xx_m2", "qw", "lat_deg", "residual_rms_px"):
         assert row[column] == ""
 

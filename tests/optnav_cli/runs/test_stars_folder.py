@@ -70,6 +70,9 @@ def test_a_folder_without_any_attitude_ends_so_and_a_name_twice_is_refused(tmp_p
     folder = sky_folder(tmp_path / "sky", {"a.png": np.full(CAMERA.shape, 7.0)})
     with pytest.raises(NothingToDoError, match="none of 1 pictures"):
         stars_folder(folder, tmp_path / "run", SilentProgress())
+    with (tmp_path / "run/attitudes.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert row["reason"] == "a.png: all pixels of the picture have the same value, 7"
     (folder / "frames.csv").write_text(f"file,utc,camera\na.png,{UTC},sky\na.png,{UTC},sky\n")
     with pytest.raises(DataError, match="stands twice"):
         stars_folder(folder, tmp_path / "run", SilentProgress())
