@@ -3,10 +3,10 @@
 DOP853, the Runge-Kutta method of order 8 of Hairer, Norsett and Wanner ("Solving Ordinary
 Differential Equations I", 2nd ed., II.5), coefficients and step control as in scipy. The step is
 chosen by the six components of the state alone; every time that is asked for is stepped on.
+Derivatives are carried over a step whose path is known: two slopes of the forces for twelve stages.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import DOP853
@@ -14,6 +14,7 @@ from scipy.integrate import DOP853
 from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from optnav_cli.dynamics.gravity_kernel import gradient, pull
+from optnav_cli.dynamics.orbit_tables import ArcWorld, interval_of, neighbour, turned
 
 STAGES = len(DOP853.B)
 _A = np.zeros((STAGES + 1, STAGES))  # the step itself as the last stage
@@ -27,6 +28,7 @@ PLACE_M, SPEED_M_S = 1e-4, 1e-7
 SAFETY, MIN_FACTOR, MAX_FACTOR = 0.9, 0.2, 10.0
 MAX_STEPS = 2_000_000
 MIN_STEP_S = 1e-9
+DERIVED_RAD = 0.03  # of a circular orbit: 1e-7 of a transition after two hours
 # First steps, in radians of a circular orbit: about those that low orbits then have.
 SMOOTH_STEP_RAD, ROUGH_STEP_RAD = 0.15, 0.045
 OBLATE_ROWS = 4  # factors of a table of degree 2
@@ -35,63 +37,6 @@ SUNLIGHT_N_M2 = 4.5398e-6  # pressure at 1 AU: 1361 W/m2 over the speed of light
 AU_M = 149597870700.0
 SUN_RADIUS_M = 6.957e8
 FOLLOWED, TOO_DEEP, TOO_LONG = 0, 1, 2
-
-
-class ArcWorld(NamedTuple):
-    """All that moves a craft over an arc, as the kernels take it; times are seconds past its start.
-
-    gm, radius_m                of the field
-    pull_table, gradient_table  as `harmonic_tables` gives them
-    start_s, spacing_s          of the tables below
-    rotations, turns, places    as `ArcTables` gives them; the Sun is the last of the neighbours
-    gms, radii_m                (n,) of the neighbours
-    body_radius_m               of the shadow
-    sunlight                    area over mass times reflectivity, m^2/kg
-    sees_sunlight               whether its pressure is needed: it, or a derivative by it
-    """
-
-    gm: float
-    radius_m: float
-    pull_table: tuple[FloatArray, FloatArray]
-    gradient_table: tuple[FloatArray, FloatArray]
-    start_s: float
-    spacing_s: float
-    rotations: FloatArray
-    turns: FloatArray
-    places: FloatArray
-    gms: FloatArray
-    radii_m: FloatArray
-    body_radius_m: float
-    sunlight: float
-    sees_sunlight: bool
-
-
-@kernel
-def _interpolated(coefficients: FloatArray, share: float, out: FloatArray) -> None:
-    """Write a polynomial (6, n) at a share of its interval into `out` (n,)."""
-    for i in range(out.shape[0]):
-        total = coefficients[5, i]
-        for power in range(4, -1, -1):
-            total = total * share + coefficients[power, i]
-        out[i] = total
-
-
-@kernel
-def _rotation(first: FloatArray, vector: FloatArray, out: FloatArray) -> None:
-    """Write the rotation (3, 3) that a rotation vector (3,) makes of another (3, 3)."""
-    x, y, z = vector[0], vector[1], vector[2]
-    square = x * x + y * y + z * z
-    angle = math.sqrt(square)
-    if angle > 1e-4:
-        one, two = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
-    else:
-        one, two = 1.0 - square / 6.0, 0.5 - square / 24.0
-    for column in range(3):
-        a, b, c = first[0, column], first[1, column], first[2, column]
-        p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
-        out[0, column] = a + one * p + two * (y * r - z * q)
-        out[1, column] = b + one * q + two * (z * p - x * r)
-        out[2, column] = c + one * r + two * (x * q - y * p)
 
 
 @kernel
@@ -146,6 +91,8 @@ def _cross(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
 @kernel
 def _turning(state: FloatArray, axes: FloatArray, thrust: FloatArray, out: FloatArray) -> None:
     """Add to `out` (3, 6) how an acceleration along R, N, B turns with the state."""
+    if thrust[0] == 0.0 and thrust[1] == 0.0 and thrust[2] == 0.0:
+        return
     place, speed = state[:3], state[3:6]
     r = math.sqrt(place[0] ** 2 + place[1] ** 2 + place[2] ** 2)
     hx, hy, hz = _cross(place, speed)
@@ -177,102 +124,83 @@ def _turning(state: FloatArray, axes: FloatArray, thrust: FloatArray, out: Float
 
 @kernel
 def acceleration(
-    t: float,
-    state: FloatArray,
-    thrust: FloatArray,
-    world: ArcWorld,
-    wants_slope: bool,
-    out: FloatArray,
+    t: float, state: FloatArray, thrust: FloatArray, world: ArcWorld, out: FloatArray
 ) -> None:
-    """Write (3, 11) of a state (6,) at a time: its acceleration and what it depends on.
+    """Write the acceleration (3,) of a state (6,) at a time.
 
     thrust  (3,) constant along R, N, B
-    out     columns: acceleration; derivative by the state, 6; axes R, N, B, 3; sunlight's pressure
-            for a strength of 1
     """
-    share = (t - world.start_s) / world.spacing_s
-    interval = max(0, min(math.floor(share), world.rotations.shape[0] - 1))
-    share -= interval
-    work = np.empty((9, 3))  # one for all below: each array costs as much as a degree of the field
-    out[:] = 0.0
-    _attract(state, share, interval, world, wants_slope, out, work)
-    _tides(state, share, interval, world, wants_slope, out, work)
-    # the Sun is the last of the neighbours: work[3] is the craft's place from it
-    if world.sees_sunlight:
-        _press(state, share, interval, world, work, out)
-    path_axes(state, work[5:8])
-    for axis in range(3):
-        for i in range(3):
-            out[i, 7 + axis] = work[5 + axis, i]
-            out[i, 0] += thrust[axis] * work[5 + axis, i]
-    if wants_slope and (thrust[0] != 0.0 or thrust[1] != 0.0 or thrust[2] != 0.0):
-        _turning(state, work[5:8], thrust, out[:, 1:7])
-
-
-@kernel
-def _attract(
-    state: FloatArray,
-    share: float,
-    interval: int,
-    world: ArcWorld,
-    wants_slope: bool,
-    out: FloatArray,
-    work: FloatArray,
-) -> None:
-    """Add the body's own pull, and its slope."""
+    interval, share = interval_of(t, world)
+    work = np.empty((8, 3))  # one for all below: each array costs as much as a degree of the field
     x, y, z = state[0], state[1], state[2]
     square = x * x + y * y + z * z
     factor = -world.gm / (square * math.sqrt(square))
-    vector, local, found = work[0], work[1], work[2]
-    turn, slope = work[3:6], work[6:9]
-    _interpolated(world.turns[interval], share, vector)
-    _rotation(world.rotations[interval], vector, turn)
-    for i in range(3):
-        local[i] = turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z
+    turn, local, found = work[0:3], work[3], work[4]
+    turned(state, share, interval, world, turn, local)
     pull(local, (world.gm, world.radius_m), world.pull_table, found)
     for i in range(3):
-        out[i, 0] += factor * state[i]
+        out[i] = factor * state[i]
         for j in range(3):
-            out[i, 0] += turn[j, i] * found[j]
-    if not wants_slope:
-        return
+            out[i] += turn[j, i] * found[j]
+    away, place = work[3], work[4]
+    for n in range(world.gms.shape[0]):
+        far_cube, near_cube = neighbour(state, share, interval, n, world, place, away)
+        for i in range(3):
+            # the body falls to its neighbour too: only the difference moves the craft about it
+            out[i] -= world.gms[n] * (away[i] / near_cube + place[i] / far_cube)
+    # the Sun is the last of the neighbours
+    if world.sunlight != 0.0:
+        _press(state, share, interval, world, away, work[5:8])
+        for i in range(3):
+            out[i] += world.sunlight * work[7, i]
+    if thrust[0] != 0.0 or thrust[1] != 0.0 or thrust[2] != 0.0:
+        path_axes(state, work[5:8])
+        for axis in range(3):
+            for i in range(3):
+                out[i] += thrust[axis] * work[5 + axis, i]
+
+
+@kernel
+def slopes(
+    t: float, state: FloatArray, thrust: FloatArray, world: ArcWorld, out: FloatArray
+) -> None:
+    """Write (3, 10) of a state (6,) at a time: what its acceleration depends on.
+
+    thrust  (3,) constant along R, N, B
+    out     columns: derivative by the state, 6; axes R, N, B, 3; sunlight's pressure for a strength
+            of 1
+    """
+    interval, share = interval_of(t, world)
+    work = np.empty((8, 3))
+    x, y, z = state[0], state[1], state[2]
+    square = x * x + y * y + z * z
+    factor = -world.gm / (square * math.sqrt(square))
+    turn, local, slope = work[0:3], work[3], work[4:7]
+    turned(state, share, interval, world, turn, local)
     gradient(local, (world.gm, world.radius_m), world.gradient_table, slope)
+    out[:] = 0.0
     for i in range(3):
-        out[i, 1 + i] += factor
+        out[i, i] += factor
         for j in range(3):
             total = -3.0 * factor * state[i] * state[j] / square
             for a in range(3):
                 for b in range(3):
                     total += turn[a, i] * slope[a, b] * turn[b, j]
-            out[i, 1 + j] += total
-
-
-@kernel
-def _tides(
-    state: FloatArray,
-    share: float,
-    interval: int,
-    world: ArcWorld,
-    wants_slope: bool,
-    out: FloatArray,
-    work: FloatArray,
-) -> None:
-    """Add the tides; work[3] becomes the craft's place from the last neighbour."""
+            out[i, j] += total
+    away, place = work[3], work[4]
     for n in range(world.gms.shape[0]):
-        _interpolated(world.places[interval][:, n], share, work[2])
+        _, near_cube = neighbour(state, share, interval, n, world, place, away)
+        near = away[0] ** 2 + away[1] ** 2 + away[2] ** 2
         for i in range(3):
-            work[3, i] = state[i] - work[2, i]
-        far = work[2, 0] ** 2 + work[2, 1] ** 2 + work[2, 2] ** 2
-        near = work[3, 0] ** 2 + work[3, 1] ** 2 + work[3, 2] ** 2
-        far_cube, near_cube = far * math.sqrt(far), near * math.sqrt(near)
-        for i in range(3):
-            # the body falls to its neighbour too: only the difference moves the craft about it
-            out[i, 0] -= world.gms[n] * (work[3, i] / near_cube + work[2, i] / far_cube)
-            if wants_slope:
-                out[i, 1 + i] -= world.gms[n] / near_cube
-                for j in range(3):
-                    curl = work[3, i] * work[3, j] / (near * near_cube)
-                    out[i, 1 + j] += 3.0 * world.gms[n] * curl
+            out[i, i] -= world.gms[n] / near_cube
+            for j in range(3):
+                out[i, j] += 3.0 * world.gms[n] * away[i] * away[j] / (near * near_cube)
+    if world.sees_sunlight:
+        _press(state, share, interval, world, away, work[5:8])
+        out[:, 9] = work[7]
+    path_axes(state, work[5:8])
+    out[:, 6:9] = work[5:8].T
+    _turning(state, work[5:8], thrust, out[:, :6])
 
 
 @kernel
@@ -281,60 +209,20 @@ def _press(
     share: float,
     interval: int,
     world: ArcWorld,
+    from_sun: FloatArray,
     work: FloatArray,
-    out: FloatArray,
 ) -> None:
-    """Add sunlight's pressure; work[3] is the craft's place from the Sun."""
+    """Write sunlight's pressure into work[2]; from_sun (3,) the craft's place from the Sun."""
     count = world.gms.shape[0]
-    lit = lit_share(work[3], state[:3], SUN_RADIUS_M, world.body_radius_m)
+    lit = lit_share(from_sun, state[:3], SUN_RADIUS_M, world.body_radius_m)
     for n in range(count - 1):
         if lit > 0.0 and world.radii_m[n] > 0.0:
-            _interpolated(world.places[interval][:, n], share, work[2])
-            for i in range(3):
-                work[4, i] = state[i] - work[2, i]
-            lit *= lit_share(work[3], work[4], SUN_RADIUS_M, world.radii_m[n])
-    square = work[3, 0] ** 2 + work[3, 1] ** 2 + work[3, 2] ** 2
+            neighbour(state, share, interval, n, world, work[0], work[1])
+            lit *= lit_share(from_sun, work[1], SUN_RADIUS_M, world.radii_m[n])
+    square = from_sun[0] ** 2 + from_sun[1] ** 2 + from_sun[2] ** 2
     pressure = lit * SUNLIGHT_N_M2 * AU_M * AU_M / (square * math.sqrt(square))
     for i in range(3):
-        out[i, 10] = pressure * work[3, i]
-        out[i, 0] += world.sunlight * out[i, 10]
-
-
-@kernel
-def _rates(
-    t: float,
-    y: FloatArray,
-    forces: tuple[FloatArray, IntArray],
-    world: ArcWorld,
-    work: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Write the rates of a state and its derivatives (6 + 6 c,).
-
-    forces  (3,) acceleration along R, N, B and (p,) what each of the last p columns is a derivative
-            by: 0, 1, 2 that along R, N, B; 3 the strength of sunlight; -1 nothing here
-    """
-    thrust, kinds = forces
-    columns = (y.shape[0] - 6) // 6
-    acceleration(t, y[:6], thrust, world, columns > 0, work)
-    for i in range(3):
-        out[i] = y[3 + i]
-        out[3 + i] = work[i, 0]
-    if columns == 0:
-        return
-    s, ds = y[6:].reshape((6, columns)), out[6:].reshape((6, columns))
-    first = columns - kinds.shape[0]
-    for i in range(3):
-        for c in range(columns):
-            ds[i, c] = s[3 + i, c]
-            total = work[i, 1] * s[0, c] + work[i, 2] * s[1, c] + work[i, 3] * s[2, c]
-            ds[3 + i, c] = total
-        if thrust[0] != 0.0 or thrust[1] != 0.0 or thrust[2] != 0.0:
-            for c in range(columns):
-                ds[3 + i, c] += work[i, 4] * s[3, c] + work[i, 5] * s[4, c] + work[i, 6] * s[5, c]
-        for p in range(kinds.shape[0]):
-            if kinds[p] >= 0:
-                ds[3 + i, first + p] += work[i, 7 + kinds[p]]
+        work[2, i] = pressure * from_sun[i]
 
 
 @kernel
@@ -342,24 +230,118 @@ def _advance(
     t: float,
     h: float,
     now: FloatArray,
-    forces: tuple[FloatArray, IntArray],
+    thrust: FloatArray,
     world: ArcWorld,
     stages: FloatArray,
     trial: FloatArray,
 ) -> None:
-    """Write where a step leads from `now` (k,), and its stages (13, k) after the first."""
-    size, work = now.shape[0], np.empty((3, 11))
+    """Write where a step leads from a state `now` (6,), and its stages (13, 6) after the first."""
     for s in range(1, STAGES + 1):
         # the last row is the step itself
         trial[:] = 0.0
         for j in range(s):
             weight = _A[s, j]
             if weight != 0.0:
-                for i in range(size):
+                for i in range(6):
                     trial[i] += weight * stages[j, i]
-        for i in range(size):
+        for i in range(6):
             trial[i] = now[i] + h * trial[i]
-        _rates(t + _C[s] * h, trial, forces, world, work, stages[s])
+        stages[s, :3] = trial[3:]
+        acceleration(t + _C[s] * h, trial, thrust, world, stages[s, 3:])
+
+
+@kernel
+def _between(
+    h: float,
+    share: float,
+    ends: tuple[FloatArray, FloatArray],
+    rates: tuple[FloatArray, FloatArray],
+    out: FloatArray,
+) -> None:
+    """Write the state (6,) at a share of a step by Hermite's polynomials of its ends."""
+    (now, then), (first, last) = ends, rates
+    s, s2 = share, share * share
+    s3, s4, s5 = s2 * s, s2 * s2, s2 * s2 * s
+    begin, end = 1.0 - 10.0 * s3 + 15.0 * s4 - 6.0 * s5, 10.0 * s3 - 15.0 * s4 + 6.0 * s5
+    leave, come = h * (s - 6.0 * s3 + 8.0 * s4 - 3.0 * s5), h * (-4.0 * s3 + 7.0 * s4 - 3.0 * s5)
+    bend, bent = 0.5 * h * h * (s2 - 3.0 * s3 + 3.0 * s4 - s5), 0.5 * h * h * (s3 - 2.0 * s4 + s5)
+    for i in range(3):
+        out[i] = begin * now[i] + leave * now[3 + i] + bend * first[3 + i]
+        out[i] += end * then[i] + come * then[3 + i] + bent * last[3 + i]
+        out[3 + i] = (1.0 - 3.0 * s2 + 2.0 * s3) * now[3 + i] + (3.0 * s2 - 2.0 * s3) * then[3 + i]
+        out[3 + i] += h * ((s - 2.0 * s2 + s3) * first[3 + i] + (s3 - s2) * last[3 + i])
+
+
+@kernel
+def _grow(
+    slope: FloatArray,
+    moved: FloatArray,
+    forces: tuple[FloatArray, IntArray],
+    out: FloatArray,
+) -> None:
+    """Write the rates of derivatives (6, c) of a path.
+
+    slope   (3, 10) as of `slopes`
+    forces  (3,) acceleration along R, N, B and (p,) what each of the last p columns is a derivative
+            by: 0, 1, 2 that along R, N, B; 3 the strength of sunlight; -1 nothing here
+    """
+    thrust, kinds = forces
+    columns = moved.shape[1]
+    first = columns - kinds.shape[0]
+    turns = thrust[0] != 0.0 or thrust[1] != 0.0 or thrust[2] != 0.0
+    for i in range(3):
+        for c in range(columns):
+            out[i, c] = moved[3 + i, c]
+            total = slope[i, 0] * moved[0, c] + slope[i, 1] * moved[1, c]
+            out[3 + i, c] = total + slope[i, 2] * moved[2, c]
+        if turns:
+            for c in range(columns):
+                total = slope[i, 3] * moved[3, c] + slope[i, 4] * moved[4, c]
+                out[3 + i, c] += total + slope[i, 5] * moved[5, c]
+        for p in range(kinds.shape[0]):
+            if kinds[p] >= 0:
+                out[3 + i, first + p] += slope[i, 6 + kinds[p]]
+
+
+@kernel
+def _derive(
+    t: float,
+    h: float,
+    ends: tuple[FloatArray, FloatArray],
+    rates: tuple[FloatArray, FloatArray],
+    forces: tuple[FloatArray, IntArray],
+    world: ArcWorld,
+    room: tuple[FloatArray, FloatArray],
+    derivatives: FloatArray,
+) -> None:
+    """Carry derivatives (6, c) over a step whose path is known.
+
+    They are linear and need fewer digits than the path: Runge and Kutta's fourth order in parts of
+    at most DERIVED_RAD, with the slopes at the ends and in the middle of each.
+
+    room  (3, 3, 10) and (5, 6, c) to work in; of the former the first is the slope of the step's
+          start, and becomes that of its end
+    """
+    slope, work = room
+    now = ends[0]
+    square = now[0] ** 2 + now[1] ** 2 + now[2] ** 2
+    rate = math.sqrt(world.gm / (square * math.sqrt(square)))
+    parts = max(1, math.ceil(abs(h) * rate / DERIVED_RAD))
+    size, state = h / parts, np.empty(6)
+    for part in range(parts):
+        for half in range(1, 3):
+            share = (part + 0.5 * half) / parts
+            _between(h, share, ends, rates, state)
+            slopes(t + share * h, state, forces[0], world, slope[half])
+        _grow(slope[0], derivatives, forces, work[0])
+        work[4] = derivatives + 0.5 * size * work[0]
+        _grow(slope[1], work[4], forces, work[1])
+        work[4] = derivatives + 0.5 * size * work[1]
+        _grow(slope[1], work[4], forces, work[2])
+        work[4] = derivatives + size * work[2]
+        _grow(slope[2], work[4], forces, work[3])
+        derivatives += size / 6.0 * (work[0] + 2.0 * (work[1] + work[2]) + work[3])
+        slope[0] = slope[2]
 
 
 @kernel
@@ -383,36 +365,42 @@ def _error(h: float, now: FloatArray, trial: FloatArray, stages: FloatArray) -> 
 @kernel
 def follow(
     y: FloatArray,
+    begin: float,
     times: FloatArray,
     forces: tuple[FloatArray, IntArray],
     world: ArcWorld,
     out: FloatArray,
 ) -> int:
-    """Write the path (n, k) from y (k,) at time 0 to times (n,), ever farther to one side.
+    """Write the path (n, k) from y (k,) at a time to others (n,), ever farther to one side.
 
-    forces  (n, 3) and (n, p) of the way to each time, as `_rates` takes them
+    y       a state (6,), and its derivatives (6, c) where there are any
+    forces  (n, 3) and (n, p) of the way to each time, as `_grow` takes them
     Returns FOLLOWED, or why not.
     """
     size, count = y.shape[0], times.shape[0]
     thrusts, kinds = forces
-    stages, trial, now = np.empty((STAGES + 1, size)), np.empty(size), y.copy()
-    work = np.empty((3, 11))
+    stages, trial, now = np.empty((STAGES + 1, 6)), np.empty(6), y[:6].copy()
+    derivatives = y[6:].copy().reshape((6, (size - 6) // 6))
+    room = np.empty((3, 3, 10)), np.empty((5, 6, (size - 6) // 6))
     square = now[0] ** 2 + now[1] ** 2 + now[2] ** 2
     is_rough = world.pull_table[1].shape[0] > OBLATE_ROWS
     step = ROUGH_STEP_RAD if is_rough else SMOOTH_STEP_RAD
     step *= math.sqrt(square * math.sqrt(square) / world.gm)
     least = (MIN_RADII * world.radius_m) ** 2 if is_rough else 0.0
-    t, steps = 0.0, 0
+    t, steps = begin, 0
     for n in range(count):
         here = thrusts[n], kinds[n]
-        _rates(t, now, here, world, work, stages[0])
+        stages[0, :3] = now[3:]
+        acceleration(t, now, here[0], world, stages[0, 3:])
+        if size > 6:
+            slopes(t, now, here[0], world, room[0][0])
         while t != times[n]:
             left = abs(times[n] - t)
             last = step >= left
             # two even steps rather than a long and a short one
             size_s = left if last else min(step, max(0.5 * left, 0.6 * step))
             h = math.copysign(size_s, times[n] - t)
-            _advance(t, h, now, here, world, stages, trial)
+            _advance(t, h, now, here[0], world, stages, trial)
             error = _error(h, now, trial, stages)
             steps += 1
             if steps > MAX_STEPS or not step > MIN_STEP_S or math.isnan(error):
@@ -422,6 +410,9 @@ def follow(
             if error >= 1.0:
                 step = grown
                 continue
+            if size > 6:
+                rates = stages[0], stages[STAGES]
+                _derive(t, h, (now, trial), rates, here, world, room, derivatives)
             # a step that was cut to land on a time says little of how long one may be
             step = max(step, grown) if size_s < step else grown
             t = times[n] if last else t + h
@@ -429,5 +420,31 @@ def follow(
             stages[0] = stages[STAGES]
             if now[0] ** 2 + now[1] ** 2 + now[2] ** 2 < least:
                 return TOO_DEEP
-        out[n] = now
+        out[n, :6] = now
+        out[n, 6:] = derivatives.ravel()
+    return FOLLOWED
+
+
+@kernel
+def follow_legs(
+    starts: FloatArray,
+    begins: FloatArray,
+    times: tuple[FloatArray, IntArray],
+    forces: tuple[FloatArray, IntArray],
+    world: ArcWorld,
+    out: FloatArray,
+) -> int:
+    """Write the paths (m, k) from each of starts (n, k) at times (n,), as `follow` does.
+
+    times  (m,) one leg after the other, and (n,) how many each has
+    """
+    first = 0
+    for leg in range(starts.shape[0]):
+        last = first + times[1][leg]
+        here = forces[0][first:last], forces[1][first:last]
+        to = times[0][first:last]
+        outcome = follow(starts[leg], begins[leg], to, here, world, out[first:last])
+        if outcome != FOLLOWED:
+            return outcome
+        first = last
     return FOLLOWED

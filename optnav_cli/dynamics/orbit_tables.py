@@ -7,6 +7,7 @@ Phobos (a hundredth of its orbit).
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,6 +17,7 @@ from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import CENTURY_S, Ephemeris, Neighbour
 from catalog.bodies.epochs import DAY_S
 from catalog.errors import DataError, NoSolutionError
+from catalog.geometry.kernel import kernel
 
 MAX_SPACING_S, MIN_SPACING_S = 900.0, 10.0
 NODES = 6
@@ -138,3 +140,103 @@ def _polynomial(powers: FloatArray, values: FloatArray) -> FloatArray:
         for column in range(NODES):
             out[row] += powers[row, column] * values[column]
     return out
+
+
+class ArcWorld(NamedTuple):
+    """All that moves a craft over an arc, as the kernels take it; times are seconds past its start.
+
+    gm, radius_m                of the field
+    pull_table, gradient_table  as `harmonic_tables` gives them
+    start_s, spacing_s          of the tables below
+    rotations, turns, places    as `ArcTables` gives them; the Sun is the last of the neighbours
+    gms, radii_m                (n,) of the neighbours
+    body_radius_m               of the shadow
+    sunlight                    area over mass times reflectivity, m^2/kg
+    sees_sunlight               whether its pressure is needed: it, or a derivative by it
+    """
+
+    gm: float
+    radius_m: float
+    pull_table: tuple[FloatArray, FloatArray]
+    gradient_table: tuple[FloatArray, FloatArray]
+    start_s: float
+    spacing_s: float
+    rotations: FloatArray
+    turns: FloatArray
+    places: FloatArray
+    gms: FloatArray
+    radii_m: FloatArray
+    body_radius_m: float
+    sunlight: float
+    sees_sunlight: bool
+
+
+@kernel
+def interval_of(t: float, world: ArcWorld) -> tuple[int, float]:
+    """Of the tables at a time, and the share of it that is past."""
+    share = (t - world.start_s) / world.spacing_s
+    interval = max(0, min(math.floor(share), world.rotations.shape[0] - 1))
+    return interval, share - interval
+
+
+@kernel
+def _interpolated(coefficients: FloatArray, share: float, out: FloatArray) -> None:
+    """Write a polynomial (6, n) at a share of its interval into `out` (n,)."""
+    for i in range(out.shape[0]):
+        total = coefficients[5, i]
+        for power in range(4, -1, -1):
+            total = total * share + coefficients[power, i]
+        out[i] = total
+
+
+@kernel
+def _rotation(first: FloatArray, vector: FloatArray, out: FloatArray) -> None:
+    """Write the rotation (3, 3) that a rotation vector (3,) makes of another (3, 3)."""
+    x, y, z = vector[0], vector[1], vector[2]
+    square = x * x + y * y + z * z
+    angle = math.sqrt(square)
+    if angle > 1e-4:
+        one, two = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+    else:
+        one, two = 1.0 - square / 6.0, 0.5 - square / 24.0
+    for column in range(3):
+        a, b, c = first[0, column], first[1, column], first[2, column]
+        p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
+        out[0, column] = a + one * p + two * (y * r - z * q)
+        out[1, column] = b + one * q + two * (z * p - x * r)
+        out[2, column] = c + one * r + two * (x * q - y * p)
+
+
+@kernel
+def turned(
+    state: FloatArray,
+    share: float,
+    interval: int,
+    world: ArcWorld,
+    turn: FloatArray,
+    local: FloatArray,
+) -> None:
+    """Write the axes of the body (3, 3), and a state's place in them (3,)."""
+    _interpolated(world.turns[interval], share, local)
+    _rotation(world.rotations[interval], local, turn)
+    for i in range(3):
+        local[i] = turn[i, 0] * state[0] + turn[i, 1] * state[1] + turn[i, 2] * state[2]
+
+
+@kernel
+def neighbour(
+    state: FloatArray,
+    share: float,
+    interval: int,
+    number: int,
+    world: ArcWorld,
+    place: FloatArray,
+    away: FloatArray,
+) -> tuple[float, float]:
+    """Write a neighbour's place, and the craft's from it; cubes of both distances."""
+    _interpolated(world.places[interval][:, number], share, place)
+    for i in range(3):
+        away[i] = state[i] - place[i]
+    far = place[0] ** 2 + place[1] ** 2 + place[2] ** 2
+    near = away[0] ** 2 + away[1] ** 2 + away[2] ** 2
+    return far * math.sqrt(far), near * math.sqrt(near)

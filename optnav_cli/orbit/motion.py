@@ -9,7 +9,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from catalog.arrays import FloatArray
+from catalog.arrays import FloatArray, IntArray
 from catalog.config import load_toml, resource
 from catalog.geometry.rotations import rnb_axes
 from catalog.geometry.vectors import unit
@@ -151,39 +151,41 @@ class ArcMotion:
         self, states: FloatArray, times: FloatArray, names: Sequence[str] = ()
     ) -> list[ArcStep]:
         """From states (n, 6), each to the next of times (n + 1,)."""
-        flown, starts, seconds = [], [], []
-        for state, from_s, to_s in zip(states, times[:-1], times[1:], strict=True):
-            pieces = abs(to_s - from_s) / (MAX_PIECE_RAD * self.radian_s(state[:3]))
-            count = min(max(1, int(np.ceil(pieces))), MAX_PIECES)
-            ends = np.linspace(from_s, to_s, count + 1)[1:]
-            flown.append(self._motion.partials(state, float(from_s), ends, names))
-            starts += [state[None], flown[-1][0][:-1]]
-            seconds += [(to_s - from_s) / count] * count
-        noises = np.zeros((len(flown), 6, 6))
+        spans = np.diff(times)
+        if not len(spans):
+            return []
+        pieces = np.abs(spans) / (MAX_PIECE_RAD * self._motion.radians_s(states[:, :3]))
+        counts = np.clip(np.ceil(pieces), 1, MAX_PIECES).astype(np.int64)
+        last = np.cumsum(counts) - 1
+        number = np.arange(1, last[-1] + 2) - np.repeat(last + 1 - counts, counts)
+        seconds = np.repeat(spans / counts, counts)
+        ends = np.repeat(times[:-1], counts) + number * seconds
+        ends[last] = times[1:]
+        flown, transitions, pushed = self._motion.legs(states, times[:-1], ends, counts, names)
+        noises = np.zeros((len(spans), 6, 6))
         if self._noise.model not in ("none", "mean"):
-            noises = self._noises(
-                np.concatenate(starts), np.array(seconds), [phi for _, phi, _ in flown]
-            )
+            starts = np.concatenate([states[:1], flown[:-1]])
+            starts[last + 1 - counts] = states
+            noises = self._noises(starts, seconds, transitions, counts)
         return [
-            ArcStep(ends[-1], transitions[-1], noise, pushed[-1])
-            for (ends, transitions, pushed), noise in zip(flown, noises, strict=True)
+            ArcStep(flown[end], transitions[end], noise, pushed[end])
+            for end, noise in zip(last, noises, strict=True)
         ]
 
     def _noises(
-        self, starts: FloatArray, seconds: FloatArray, transitions: list[FloatArray]
+        self, starts: FloatArray, seconds: FloatArray, transitions: FloatArray, counts: IntArray
     ) -> FloatArray:
         """Covariances (n, 6, 6) that the white acceleration adds on the way of n steps.
 
-        starts (p, 6), seconds (p,)  of the pieces of all;  transitions  of each step, to the ends
-        of its pieces
+        starts (p, 6), seconds (p,)  of the pieces of all;  transitions  (p, 6, 6) from the start of
+        a step to the ends of its pieces, of which it has counts (n,)
         """
         axes = np.array([rnb_of(state) for state in starts])
         densities = self.densities(starts[:, :3])
         added = white(axes.transpose(0, 2, 1) * densities[:, None] @ axes, seconds)
-        counts = [len(phi) for phi in transitions]
-        whole = np.repeat([phi[-1] for phi in transitions], counts, axis=0)
-        bring = whole @ np.linalg.inv(np.concatenate(transitions))
-        first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        last = np.cumsum(counts)
+        bring = np.repeat(transitions[last - 1], counts, axis=0) @ np.linalg.inv(transitions)
+        first = last - counts
         found: FloatArray = np.add.reduceat(bring @ added @ bring.transpose(0, 2, 1), first)
         return found
 

@@ -9,7 +9,6 @@ would be called exact.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 from typing import Annotated
 
 import msgspec
@@ -91,7 +90,7 @@ def shared_errors(
     sizes = sizes or shared_error_sizes()
     height = np.linalg.norm(places, axis=1) - radius_m
     seen = np.radians(sizes.fade_deg) * np.clip(height / radius_m, 1e-3, 1.0)
-    turned = np.array([angle_between(a, b) for a, b in pairwise(places)])
+    turned = angle_between(places[:-1], places[1:])
     way = np.concatenate([[0.0], np.cumsum(turned / np.minimum(seen[:-1], seen[1:]))])
     kept: list[tuple[str, ...]] = []
     for name in dict.fromkeys(names):

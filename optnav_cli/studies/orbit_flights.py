@@ -108,12 +108,11 @@ def fly(
     first, last = float(times[0]), float(times[-1])
     sunlight = float(forces.values()[SUNLIGHT][0])
     world = forces.world(first, last, sunlight, sees_sunlight=False)
-    out, none = np.empty((3, 11)), np.zeros(3)
+    pull, none = np.empty(3), np.zeros(3)
 
     def rates(t: float, y: FloatArray) -> FloatArray:
-        acceleration(t - first, y, none, world, False, out)
-        pull = out[:, 0] if push is None else out[:, 0] + push(t, y)
-        return np.concatenate([y[3:], pull])
+        acceleration(t - first, y, none, world, pull)
+        return np.concatenate([y[3:], pull if push is None else pull + push(t, y)])
 
     def path(state: FloatArray, at: FloatArray) -> FloatArray:
         tolerances = np.array([1e-6] * 3 + [1e-9] * 3)

@@ -30,11 +30,11 @@ def test_a_day_with_transition_and_an_output_every_five_minutes(degree):
     times = epoch + 300.0 * np.arange(1.0, sized(288.0, 12.0) + 1.0)
     span = float(times[-1] - epoch)
     world = forces.world(epoch, float(times[-1]), 0.0, sees_sunlight=False)
-    none, out = np.zeros(3), np.empty((3, 11))
+    none, out = np.zeros(3), np.empty(3)
 
     def rates(t, y):
-        acceleration(t, y, none, world, False, out)
-        return np.concatenate([y[3:], out[:, 0]])
+        acceleration(t, y, none, world, out)
+        return np.concatenate([y[3:], out])
 
     def by_scipy():
         bounds = np.array([1e-4] * 3 + [1e-7] * 3)

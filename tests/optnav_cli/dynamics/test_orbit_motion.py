@@ -115,6 +115,35 @@ def test_the_transition_is_the_derivative_of_a_flow_in_a_field_of_degree_50():
         assert np.abs(numeric - transition)[block].max() < bound
 
 
+@pytest.mark.parametrize("degree", [2, 20])
+def test_the_transition_is_the_derivative_of_a_flow_whose_gradient_is_whole(degree):
+    """Two hours, central differences: their own error is of the second order of the step."""
+    motion, to = orbit(degree=degree), np.array([EPOCH + 7200.0])
+    _, (transition,) = motion.propagate(low_orbit(), EPOCH, to)
+    for k, size in enumerate([30.0] * 3 + [0.03] * 3):
+        step = size * np.eye(6)[k]
+        ends = [motion.states(low_orbit() + share * step, EPOCH, to)[0] for share in (2, 1, -1, -2)]
+        numeric = (-ends[0] + 8.0 * ends[1] - 8.0 * ends[2] + ends[3]) / (12.0 * size)
+        assert np.abs(numeric - transition[:, k])[:3].max() < 1e-5 * np.abs(numeric[:3]).max()
+
+
+@pytest.mark.parametrize("burns", [(), (0,)])
+def test_legs_are_paths_from_each_of_their_states(burns):
+    motion = orbit(degree=4, field="bundled:moon_glgm3_50.tab", thrust=(BURN,) * len(burns))
+    begins = EPOCH + np.array([0.0, 900.0, 2000.0])
+    ends = EPOCH + np.array([400.0, 900.0 + 150.0, 1300.0, 1700.0, 2600.0])
+    counts = np.array([1, 3, 1])
+    states = low_orbit() + np.array([[0.0], [100.0], [-50.0]])
+    found = motion.legs(states, begins, ends, counts, ["acceleration"])
+    parts = np.split(ends, np.cumsum(counts)[:-1])
+    alone = [
+        motion.partials(*one, ["acceleration"]) for one in zip(states, begins, parts, strict=True)
+    ]
+    for got, wanted in zip(found, zip(*alone, strict=True), strict=True):
+        wanted = np.concatenate(wanted)
+        assert np.abs(got - wanted).max() < 1e-9 * np.abs(wanted).max()
+
+
 BURN = ThrustArc(
     start_utc=utc_from_tdb_s(EPOCH + 1000.0),
     end_utc=utc_from_tdb_s(EPOCH + 1120.0),
