@@ -139,7 +139,8 @@ class CheckSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_shadowed         share of Suns under which foreign shadows may reach the patch
     trials               recognition trials of a place, at most: the verdict ends them
     min_recognition      share of all of them that must succeed
-    good_recognition     share with which a place is taken without trying the cell's next one
+    good_recognition     share with which a place is taken without trying the cell's next one; by
+                         default the least: looking on for a better one finds none
     template_nodes       side of the square that is matched in a trial
     max_error_nodes      a match further from the truth has failed
     min_score, rival_ratio            gate of a match, as navigation has it
@@ -156,7 +157,7 @@ class CheckSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_shadowed: Share = 0.75
     trials: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 5
     min_recognition: Share = 0.6
-    good_recognition: Share = 0.8
+    good_recognition: Share = 0.6
     template_nodes: Annotated[int, msgspec.Meta(ge=16, le=256, multiple_of=2)] = 64
     max_error_nodes: Positive = 1.5
     min_score: Share = 0.5

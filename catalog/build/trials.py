@@ -97,20 +97,21 @@ def _levels(
     ground   which relief
     """
     terrain, slope_deg = context.mosaic, context.config.check.relief_slope_deg
-    size = truth_size(search)
     # a model coarser than that shows so little that finer relief tells it from the truth as well
     coarsest = MAX_RELIEF * terrain.body.radius_m
     known = min(max(patches[0].posting_m, terrain.posting_m), coarsest)
     smallest = patches[0].posting_m / FINER
     levels = []
     for patch in patches[:TRIAL_LEVELS]:
-        posting = patch.posting_m / FINER
+        # the first of a search finds the way only: as recognised from a quarter of the nodes
+        finer = FINER if patch is patches[0] else 1
+        size, posting = truth_size(search, finer), patch.posting_m / finer
         beyond = known, smallest, size, terrain.body.radius_m, slope_deg
         truth = terrain.local_grid(projection, posting, size)
         truth = truth + _relief(ground % GROUNDS, posting, *beyond)
         # as navigation does, which knows the posting of shape models only
         blur = blur_nodes(patch.posting_m, terrain.posting_m) if terrain.in_planes else 0.0
-        levels.append(Level(patch.heights_m, truth, patch.posting_m, blur))
+        levels.append(Level(patch.heights_m, truth, patch.posting_m, blur, finer))
     return levels
 
 

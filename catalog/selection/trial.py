@@ -22,7 +22,7 @@ from catalog.correlation.similarity import match_similarity
 from catalog.geometry.kernel import kernel
 from catalog.rendering.map_view import render_levels, render_map_quickly
 
-FINER = 2  # the picture's ground has this many nodes to one of the reference
+FINER = 2  # the picture's ground has this many nodes to one of the finest reference
 PSF_SIGMA_PX = 0.7
 COUNTS = 255.0
 # the brightest percent of a picture may saturate: exposure is set by what is seen
@@ -38,17 +38,18 @@ class Level(NamedTuple):
     """The ground of a trial at one pyramid level; both grids are centred on the point.
 
     reference     (n, n)  the catalog's heights, m
-    truth         (t, t)  heights of the ground that is seen, posting / FINER, m; sub-posting
-                          relief included
+    truth         (t, t)  heights of the ground that is seen, m; sub-posting relief included
     posting_m             of the reference
     blur_nodes            sigma of a blur on both sides, where the reference is finer than the
                           terrain model
+    finer                 nodes of the truth to one of the reference, along a side
     """
 
     reference: Float32Array
     truth: Float32Array
     posting_m: float
     blur_nodes: float = 0.0
+    finer: int = FINER
 
 
 class Circumstances(NamedTuple):
@@ -114,10 +115,10 @@ WINDOW_REACH = 1.25
 MAX_SHIFT_NODES = 5.0  # of a point from its predicted place
 
 
-def truth_size(search: Search) -> int:
+def truth_size(search: Search, finer: int = FINER) -> int:
     """Nodes a side of the truth grid that covers a search window whatever its distortion."""
     window = search.template_nodes + 2 * max(search.coarse_nodes, search.fine_nodes)
-    return 2 * int(np.ceil(FINER * window * WINDOW_REACH / 2.0))
+    return 2 * math.ceil(finer * window * WINDOW_REACH / 2.0)
 
 
 def draw_circumstances(
@@ -203,16 +204,17 @@ def run_trial(
         room = search.coarse_nodes if coarsest else search.fine_nodes
         window = search.template_nodes + 2 * room
         offset = ground_from_picture @ (place - circumstances.shift_m) / posting_m
-        offset = _FINER_FLIP @ offset
-        truth_from_picture = _FINER_FLIP @ ground_from_picture @ picture_from_ground @ _FLIP
+        truth_from_ground = level.finer * _FLIP
+        offset = truth_from_ground @ offset
+        truth_from_picture = truth_from_ground @ ground_from_picture @ picture_from_ground @ _FLIP
         side = side_under(truth_from_picture, offset, window, level.truth.shape[0])
-        truth, finer_m = _centre(level.truth, side), posting_m / FINER
+        truth, finer_m = _centre(level.truth, side), posting_m / level.finer
         seen = render_map_quickly(
             truth, finer_m, sun, view_local=view, radius_m=radius_m, outer=around[number]
         )
         origin, averaging = offset + (side - 1) / 2.0, round(posting_m / levels[0].posting_m)
         picture = picture_of(
-            seen, truth_from_picture, origin, window, averaging, circumstances.snr, rng
+            seen, truth_from_picture, origin, window, averaging, circumstances.snr, rng, level.finer
         )
         step_m = posting_m
         if level.blur_nodes:
@@ -245,7 +247,6 @@ def run_trial(
 
 # between map axes (x east, y north) and grid axes (x along columns, y along rows)
 _FLIP = np.diag([1.0, -1.0])
-_FINER_FLIP = FINER * _FLIP
 
 
 def _similarity(roll: float, scale: float) -> FloatArray:
@@ -266,6 +267,7 @@ def picture_of(
     averaging: int,
     snr: float,
     rng: np.random.Generator,
+    finer: int = FINER,
 ) -> Float32Array:
     """The resampled picture (size, size): blurred, sampled, noisy, in 8 bits.
 
@@ -274,9 +276,10 @@ def picture_of(
                                  x along columns, y along rows
     origin               (2,)    truth column and row under the picture's centre
     averaging                    picture pixels averaged into one node, each way: lowers the noise
+    finer                        nodes of the truth to one of the picture, along a side
     """
     # a pixel integrates over its own area: a box of one node has sigma 1/sqrt(12)
-    sigma = FINER * math.hypot(PSF_SIGMA_PX / averaging, 1.0 / math.sqrt(12.0))
+    sigma = finer * math.hypot(PSF_SIGMA_PX / averaging, 1.0 / math.sqrt(12.0))
     blurred = cv2.GaussianBlur(brightness, (0, 0), sigma)
     (a, b), (c, d) = ground_from_picture.tolist()
     (x, y), half = origin.tolist(), (size - 1) / 2.0

@@ -39,15 +39,13 @@ def smooth_terrain(seed, size, posting_m, height_m=120.0):
 
 
 def levels(seed=1, height_m=120.0, count=2):
-    size = truth_size(SEARCH)
-    return [
-        Level(
-            smooth_terrain(seed, 64, posting, height_m),
-            smooth_terrain(seed, size, posting / FINER, height_m),
-            posting,
-        )
-        for posting in (POSTING_M * 2.0**level for level in range(count))
-    ]
+    found = []
+    for level in range(count):
+        posting, finer = POSTING_M * 2.0**level, 1 if level else FINER
+        truth = smooth_terrain(seed, truth_size(SEARCH, finer), posting / finer, height_m)
+        reference = smooth_terrain(seed, 64, posting, height_m)
+        found.append(Level(reference, truth, posting, finer=finer))
+    return found
 
 
 def circumstances(**changes):
@@ -81,9 +79,7 @@ def test_roll_and_scale_within_the_limits_are_tracked(roll_deg, scale):
 
 
 def test_another_ground_is_refused():
-    mixed = [
-        Level(a.reference, b.truth, a.posting_m) for a, b in zip(levels(1), levels(2), strict=True)
-    ]
+    mixed = [a._replace(truth=b.truth) for a, b in zip(levels(1), levels(2), strict=True)]
     outcomes = [run_trial(mixed, circumstances(), [k], MOON_M, SEARCH) for k in range(5)]
     assert not any(outcome.accepted for outcome in outcomes)
 
@@ -154,15 +150,17 @@ def test_a_picture_has_the_stated_noise_and_whole_counts():
     assert relative == pytest.approx(1.0 / 20.0, rel=0.15), scale
 
 
-def test_the_truth_covers_every_window_that_can_be_asked_for():
+@pytest.mark.parametrize("finer", [1, FINER])
+def test_the_truth_covers_every_window_that_can_be_asked_for(finer):
     worst = draw_circumstances(np.random.default_rng(1), np.eye(3)[2:], POSTING_M)
     worst = worst._replace(roll=np.radians(6.0), scale=0.9, stretch=1.0)
-    size = truth_size(SEARCH)
+    size = truth_size(SEARCH, finer)
     bright = np.ones((size, size), np.float32)
     window = SEARCH.template_nodes + 2 * SEARCH.coarse_nodes
     inverse = np.linalg.inv(distortion(worst))
     centre = np.full(2, (size - 1) / 2.0)
-    picture = picture_of(bright, FINER * inverse, centre, window, 1, 1e9, np.random.default_rng(2))
+    rng = np.random.default_rng(2)
+    picture = picture_of(bright, finer * inverse, centre, window, 1, 1e9, rng, finer)
     assert np.isfinite(picture).all()
     assert cv2.countNonZero(picture) == picture.size
 

@@ -29,7 +29,7 @@ def test_the_first_policy_is_what_a_build_does():
     own, *others = economy.policies()
     assert own.render == RenderSettings()
     assert own.check == CheckSettings()
-    assert {policy.name for policy in others} == {"all Suns", "all tried", "fewer"}
+    assert {policy.name for policy in others} == {"all Suns", "all tried", "four of five", "fewer"}
     assert all((policy.render, policy.check) != (own.render, own.check) for policy in others)
 
 
