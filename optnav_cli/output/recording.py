@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
+import msgspec
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
@@ -86,8 +87,7 @@ class MessageLog:
 
     def add(self, topic: str, schema: foxglove.Schema, content: Message) -> None:
         """Add one message, stamped with the time that was set."""
-        data = json.dumps(self._stamped(content), allow_nan=False).encode()
-        self._put(topic, schema, data)
+        self._put(topic, schema, _encoded(self._stamped(content)))
 
     def _put(self, topic: str, schema: foxglove.Schema, data: bytes) -> None:
         title = schema["title"]
@@ -207,7 +207,7 @@ class Recording(MessageLog):
         return name if name != self._body.name else f"{name} camera"
 
     def _write(self, topic: str, schema: foxglove.Schema, content: Message) -> None:
-        self._made.append((topic, schema, json.dumps(content, allow_nan=False).encode()))
+        self._made.append((topic, schema, _encoded(content)))
 
     def _calibration(self, camera: Camera, factor: float) -> Message:
         # A scaled picture keeps its corners, and pixel centres stand half a pixel inside them.
@@ -229,6 +229,17 @@ class Recording(MessageLog):
             "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
             "P": [focal, 0.0, cx, 0.0, 0.0, focal_y, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
         }
+
+
+def _encoded(content: Message) -> bytes:
+    """A message as JSON. Raises ValueError for a number that is not finite."""
+    try:
+        data = msgspec.json.encode(content, enc_hook=float)
+        # null stands for None, or for a number that is not finite: json tells them apart
+        exact = b"null" not in data
+    except UnicodeEncodeError:  # the name of a file that is no UTF-8
+        exact = False
+    return data if exact else json.dumps(content, allow_nan=False).encode()
 
 
 def recorded_image(gray: ByteArray, camera: Camera) -> bytes:

@@ -14,7 +14,7 @@ from catalog.bodies.body import load_body
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks
 from optnav_cli.output.canvas import eight_bits
-from optnav_cli.output.recording import Recording, nanoseconds, recorded_image
+from optnav_cli.output.recording import MessageLog, Recording, nanoseconds, recorded_image
 from tests.optnav_cli.rows import solved, unsolved
 
 MOON = load_body("moon")
@@ -281,6 +281,19 @@ def test_the_same_run_gives_the_same_bytes(tmp_path):
                 a_frame(), MATCHES, UNK, recorded_image(np.ones((480, 640), np.uint8), UNK)
             )
     assert (tmp_path / "one").read_bytes() == (tmp_path / "other").read_bytes()
+
+
+def test_messages_are_json_of_finite_numbers_alone(tmp_path):
+    schema = {"title": "t", "type": "object"}
+    with MessageLog(tmp_path / "a.mcap") as log:
+        for value in (0.1, np.float64(1e-7), None, "null", "\udc80"):
+            log.add("/t", schema, {"value": value})
+        for value in (float("nan"), np.inf, [1.0, np.nan]):
+            with pytest.raises(ValueError, match="not JSON compliant"):
+                log.add("/t", schema, {"value": value})
+    with (tmp_path / "a.mcap").open("rb") as file:
+        read = [json.loads(m.data)["value"] for *_, m in make_reader(file).iter_messages()]
+    assert read == [0.1, 1e-7, None, "null", "\udc80"]
 
 
 def test_a_frame_that_cannot_be_written_leaves_nothing_and_the_next_ones_go_on(tmp_path):
