@@ -36,8 +36,8 @@ from catalog.terrain.terrain import Terrain
 log = logging.getLogger(__name__)
 
 LATTICE = 5  # points a side at which a cell is asked for ground
-BLOCK_CELLS = 8  # cells a side of a block whose terrain is read together
-MAX_CHUNK = 64  # cells in work at once: what a kill can lose
+BLOCK_CELLS = 16  # cells a side of a block whose terrain is read together: less of it twice
+MAX_CHUNK = 256  # cells in work at once: what a kill can lose
 CHUNKS = 32  # a small build is cut at least so finely, to keep several workers busy
 UNIMPORTANT = ("path", "priority", "feather_km")  # to the overviews of a terrain model
 CORNERS, RECORD = "corners.npy", "mesh.json"

@@ -90,8 +90,8 @@ def test_chunks_hold_every_cell_once_and_neighbours_together():
     grid = CellGrid(1.0)
     chunks = chunks_of(grid, np.arange(grid.total))
     assert sorted(cell for chunk in chunks for cell in chunk) == list(range(grid.total))
-    assert max(map(len, chunks)) == 64
-    for chunk in chunks[200:600:40]:  # away from the poles a chunk is a compact block
+    assert max(map(len, chunks)) == 256
+    for chunk in chunks[50:150:10]:  # away from the poles a chunk is a compact block
         lat, lon = np.array([grid.centre_deg(cell) for cell in chunk]).T
         assert np.ptp(lat) < 2 * BLOCK_CELLS
         spread = np.ptp(np.mod(lon - lon[0] + 180.0, 360.0)) * np.cos(np.radians(lat.mean()))
