@@ -84,13 +84,17 @@ class VerticalDescent:
         self._model, self._truth, self._site = model, truth, site
         self._settings, self._gm = settings, gm
         self._roll = float(np.radians(settings.beams.roll_deg_s))
-        self._beams = self._turned(0.0)
+        self._beams = self._turned(0.0, np.inf)
         self._corners, self._unknowns = corners, 7 + int(corners.max())
 
-    def _turned(self, seconds: float) -> FloatArray:
-        """The beams (4, 3) so long after the arrival."""
-        off = float(np.radians(self._settings.beams.off_deg))
-        return beams_about(np.array([0.0, 0.0, -1.0]), off, self._roll * seconds)
+    def _turned(self, seconds: float, height_m: float) -> FloatArray:
+        """The beams (4, 3) so long after the arrival, at a height."""
+        beams, turned = self._settings.beams, self._roll * seconds
+        # upright at the altimeter's last height, from twice that on
+        lean = beams.lean_deg * float(np.clip(height_m / beams.to_m - 1.0, 0.0, 1.0))
+        down = np.array([0.0, 0.0, -1.0])
+        axis = beams_about(down, float(np.radians(lean)), turned - np.radians(45.0))[0]
+        return beams_about(axis, float(np.radians(beams.off_deg)), turned)
 
     def fly(
         self,
@@ -229,7 +233,8 @@ class VerticalDescent:
 
     def _measure(self, step: int, flying: BoolArray) -> None:
         beams = self._settings.beams
-        self._beams = self._turned(step * STEP_S)
+        # one attitude for all: their heights differ by metres
+        self._beams = self._turned(step * STEP_S, float(np.median(self._xhat[:, 2])))
         height = self._x[:, 2]
         if step % beams.near_every_s == 0:
             # below the altimeter's last height the ranges are the Doppler radar's

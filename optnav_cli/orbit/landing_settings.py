@@ -44,12 +44,15 @@ class BeamSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
     off_deg  of each beam off their axis;  roll_deg_s  how fast the craft turns about it: the feet
     of beams that only sink move 2 m/s, so that errors of the ground would not average out
+    lean_deg  of the axis off the vertical on the descent, about which it turns: upright, the beams
+    see a disc of ground that holds six of its errors; the craft stands up above to_m
     every_s, near_every_s  between ranges of the transfer and of the descent
     from_m  height below which the Doppler measures, to_m  the altimeter's last
     """
 
     off_deg: Annotated[float, msgspec.Meta(ge=0.5, le=45.0)] = 5.0
-    roll_deg_s: Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)] = 0.3
+    roll_deg_s: Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)] = 2.0
+    lean_deg: Annotated[float, msgspec.Meta(ge=0.0, le=30.0)] = 8.0
     noise_m: Above = 3.0
     every_s: Annotated[float, msgspec.Meta(ge=1.0, le=600.0)] = 10.0
     near_every_s: Annotated[int, msgspec.Meta(ge=1, le=100)] = 1

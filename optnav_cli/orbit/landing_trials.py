@@ -100,7 +100,8 @@ def landing_task(settings: LandingSettings, moon: Body, beside: Path) -> Landing
     aim = site.above(1e3 * section.aim_height_km)
     departure = depart(motion, before, begin, begin + section.transfer_s, aim)
     path = check_clear(motion, departure, model)
-    reach = 1e3 * section.aim_height_km * np.tan(np.radians(settings.beams.off_deg)) + MARGIN_M
+    widest = settings.beams.off_deg + settings.beams.lean_deg
+    reach = 1e3 * section.aim_height_km * np.tan(np.radians(widest)) + MARGIN_M
     near = np.linalg.norm(shape.vertices - site.point, axis=1) < reach
     numbers = np.where(near, np.cumsum(near) - 1, -1)
     return LandingTask(

@@ -286,6 +286,19 @@ def test_craft_touch_down_softly_near_the_target(task: LandingTask) -> None:
     assert down.end.nees.mean() < 3.0
 
 
+def test_a_craft_that_leans_as_it_turns_knows_its_height_better(task: LandingTask) -> None:
+    """By the filter's own covariance: upright, its beams meet a sixth of the ground."""
+    beams = msgspec.structs.replace(SETTINGS.beams, lean_deg=0.0)
+    upright = dataclasses.replace(task, settings=msgspec.structs.replace(SETTINGS, beams=beams))
+    truth = wrong_ground(task, 8)
+    trials = [fly_transfer(task, truth, 1)]
+    leaning, standing = (
+        float(fly_descents(one, truth, trials).end.stated_m[0, 0]) for one in (task, upright)
+    )
+    assert leaning < 1.0
+    assert leaning < 0.85 * standing
+
+
 def test_a_stated_start_takes_the_place_of_an_orbit(task: LandingTask) -> None:
     x, y, z, vx, vy, vz = task.before.tolist()
     given = msgspec.structs.replace(
