@@ -116,6 +116,7 @@ def report(result: DeliveryFigures) -> StudyReport:
             "asked: all of 1e6 trials inside whose errors are cut at the boxes' bound; bound over "
             "99.73 % of uncut trials ≤ 1.3 in Δv and ≤ 2 in the arrival; navigation with what is "
             "considered within 10 % of drawn errors; the Moon's boxes ≤ 3 s, 1e5 trials ≤ 0.5 s",
-            "optical: 10″ across and 0.04 % along the line of sight, as fixes of the scenario transfer",
+            "optical: 10″ across and 0.04 % along the line of sight, "
+            "as fixes of the scenario transfer",
         ),
     )
