@@ -74,25 +74,32 @@ def choose_spaced(
     best = {cell: float(worth[those[0]]) for cell, those in ranked.items()}
     turns = sorted(ranked, key=lambda cell: (not np.isfinite(best[cell]), -best[cell], cell))
     # in lists, whose elements the interpreter reads in a third of the time of an array's
-    owner, accepted = cell_of.tolist(), [False] * cell_of.size
+    owner = cell_of.tolist()
     taken: dict[int, list[int]] = {cell: [] for cell in turns}
     spacing: dict[int, float] = dict.fromkeys(turns, 0.0)
+    tree = cKDTree(places)
     for share in (1.0, RELAXED):
         chord = 2.0 * np.sin(np.radians(share * spacing_deg) / 2.0)
-        near = cKDTree(places).query_ball_point(places, chord) if places.size else []
-        waiting = {cell: list(ranked[cell]) for cell in turns if not taken[cell]}
+        accepted = {i for those in taken.values() for i in those}
+        waiting = {cell: iter(ranked[cell]) for cell in turns if not taken[cell]}
+        asked = [i for cell in waiting for i in ranked[cell]]
+        near = dict(zip(asked, tree.query_ball_point(places[asked], chord) if asked else []))
+        # by an accepted candidate of another cell
+        crowded = [False] * len(owner)
+        for i in asked if accepted else ():
+            crowded[i] = not accepted.isdisjoint(near[i])  # a waiting cell has none of its own
         while waiting:
-            for cell in list(waiting):
+            for cell, those in list(waiting.items()):
                 # a candidate that is not free now never will be: accepted ones stay
-                while waiting[cell]:
-                    i = waiting[cell].pop(0)
-                    if not any(accepted[j] and owner[j] != cell for j in near[i]):
-                        accepted[i] = True
-                        taken[cell].append(i)
-                        spacing[cell] = share
-                        break
-                if not waiting[cell]:
+                i = next((i for i in those if not crowded[i]), None)
+                if i is None:
                     del waiting[cell]
+                    continue
+                taken[cell].append(i)
+                spacing[cell] = share
+                for j in near[i]:
+                    if owner[j] != cell:
+                        crowded[j] = True
     return {
         cell: Choice(tuple(taken[cell] or ranked[cell]), spacing[cell]) for cell in sorted(turns)
     }
