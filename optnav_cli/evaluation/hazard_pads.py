@@ -15,7 +15,7 @@ from catalog.files import replacing_file, starts_with
 from catalog.geometry.projection import Stereographic
 from catalog.progress import logged_stage
 from catalog.tables import CsvRow
-from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.dem.source import DemSource
 from catalog.terrain.slopes import (
     BASE_M,
     CRITICAL_DEG,
@@ -105,7 +105,7 @@ def evaluate_pads(folder: Path, truth: Path) -> tuple[PadFigures, list[JudgedPad
                 f"{folder / PADS_FILE}: its pads have no places on the body; map a folder whose "
                 "frames have poses"
             )
-        source = DemSource.open(DemSettings(str(truth)), Path.cwd(), load_body(body))
+        source = DemSource.open_alone(truth, load_body(body))
         try:
             judged = [pad for row in placed if (pad := _judged(row, source, pad_m)) is not None]
         finally:

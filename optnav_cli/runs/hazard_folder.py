@@ -21,7 +21,7 @@ from catalog.inputs import check_input
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from catalog.store.reader import Catalog
-from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.dem.source import DemSource
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.frames.folder import Folder, read_folder
@@ -250,7 +250,7 @@ def _ground(inputs: HazardInputs, body: Body, stack: ExitStack) -> Heights | Non
     if inputs.dem is not None and inputs.catalog is not None:
         raise UsageError("--dem and --catalog both give heights of the ground; name one of them")
     if inputs.dem is not None:
-        source = DemSource.open(DemSettings(str(inputs.dem)), Path.cwd(), body)
+        source = DemSource.open_alone(inputs.dem, body)
         stack.callback(source.close)
         return lambda lat, lon: source.heights_at(lat, lon).astype(np.float64)
     if inputs.catalog is not None:

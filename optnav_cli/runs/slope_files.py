@@ -14,7 +14,7 @@ from catalog.files import check_file, replacing_file, starts_with
 from catalog.places import check_apart
 from catalog.rasters import DESCRIPTION, encode_geotiff, is_described
 from catalog.terrain.dem.georeference import Georeference
-from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.dem.source import DemSource
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, SlopeSummary, summarize
 from optnav_cli.output.canvas import Canvas, encoded
 from optnav_cli.output.wording import table_lines
@@ -72,7 +72,7 @@ def measure_slopes(
     if output is not None:
         check_file(output, starts_with(PNG) if output.suffix.lower() == ".png" else _is_ours)
         check_apart(output, [dem])
-    source = DemSource.open(DemSettings(str(dem)), Path.cwd(), load_body(body))
+    source = DemSource.open_alone(dem, load_body(body))
     try:
         summary, degrees = summarize(source, base_m)
         place = source.place

@@ -222,6 +222,8 @@ def _velocity(before: PairState, now: PairState, eye: Eye, down: FloatArray) -> 
     seconds = now.tdb_s - before.tdb_s
     if seconds > MAX_STEP_S:
         raise NoSolutionError(f"the pair before is {seconds:.0f} s old")
+    if seconds <= 0.0:
+        raise NoSolutionError("the pair before is of the same time")
     if before.ship_from_body is None or now.ship_from_body is None:
         raise NoSolutionError("the pictures have no attitude: a turn looks like a motion")
     sigma = float(np.hypot(before.turn_sigma_rad, now.turn_sigma_rad))

@@ -104,6 +104,15 @@ class DemSource:
             raise
 
     @classmethod
+    def open_alone(cls, path: Path, body: Body) -> "DemSource":
+        """Open a file that a command line names: no section could state more of it; see `open`."""
+        try:
+            return cls.open(DemSettings(str(path)), Path.cwd(), body)
+        except DataError as error:
+            said = str(error).replace("`path` in its [[dem]] section", "the path")
+            raise DataError(said.replace("in its [[dem]] section", "in the file itself")) from None
+
+    @classmethod
     def _read_header(
         cls, path: Path, settings: DemSettings, body: Body, dataset: Any
     ) -> "DemSource":

@@ -333,6 +333,24 @@ def test_slopes_prints_and_writes_what_a_model_has(
     assert run(["slopes", "dem.tif", "-o", "dem.tif"]) == 3
 
 
+def test_what_is_wrong_with_a_model_is_to_be_mended_in_its_file_not_in_a_section(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rise = np.broadcast_to(np.arange(64, dtype=np.float32), (64, 64))
+    bare = encode_geotiff({"height, m": rise}, {"transform": ANYWHERE})
+    (place / "bare.tif").write_bytes(bare)
+    for words in (
+        ["slopes", "bare.tif"],
+        ["hazard", str(folder(place, frame("a.tif"))), "--dem", "bare.tif", "-o", "out"],
+    ):
+        assert run(words) == 3
+        said = capsys.readouterr().err
+        assert "bare.tif: has no coordinate system; set `crs` in the file itself" in said
+        assert "[[dem]]" not in said
+    assert run(["slopes", "gone.tif"]) == 3
+    assert capsys.readouterr().err.endswith("there is no such file; check the path\n")
+
+
 def folder_with_ground(place: Path) -> Path:
     """A hazard folder over ground that rises by 10 deg in the east and is level in the west."""
     pictures = folder(place, frame("a.tif"))

@@ -116,6 +116,14 @@ def test_without_attitudes_there_is_a_height_and_no_velocity(tmp_path: Path) -> 
     assert "a turn looks like a motion" in rows[1].reason
 
 
+def test_two_pairs_of_one_time_give_no_velocity(tmp_path: Path) -> None:
+    pictures = folder(tmp_path / "pairs", times=((0.0, 0.0), (0.0, 0.0)))
+    rows = stereo_folder(pictures, tmp_path / "out", SilentProgress())
+    assert [row.height is not None for row in rows] == [True, True]
+    assert rows[1].velocity is None
+    assert rows[1].reason == "no velocity: the pair before is of the same time"
+
+
 @pytest.mark.parametrize(
     ("mounts", "said"),
     [
