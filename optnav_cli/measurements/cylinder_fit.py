@@ -62,7 +62,8 @@ DUSK = 0.03
 # Independent heights in a picture: by them errors of `study cylinder --fit` to 100 deg have NEES 1.
 HEIGHT_COUNT = 19.0
 LIMB_PX = 2.5  # columns so near to a limb give no height
-MAX_MISFIT = 2.0  # of residuals in units of their errors, rms: no lit cylinder
+MAX_MISFIT = 1.5  # of residuals in units of their errors, rms: no lit cylinder, or of another size
+MAX_BLUR_PX = 6.0  # out of focus: beyond it the columns near the limbs mix with the background
 MAX_HEIGHT_MISFIT = 0.03  # of the height, rms: no cylinder, or not upright
 NARROWEST = math.log(math.radians(0.25))  # a source of less looks the same, whatever it is
 MAX_STEPS, SETTLED = 80, 1e-2  # of the fit, and the fall of its cost that ends it
@@ -106,10 +107,9 @@ class CylinderFit:
 
 
 class CostedModel(Model[FloatArray], Protocol):
-    """A kind of measurement whose cost alone is had for less than its derivatives."""
+    """A kind of measurement whose cost is had without its derivatives."""
 
-    def cost(self, state: FloatArray) -> float:
-        """What `linearise` costs."""
+    def cost(self, state: FloatArray) -> float: ...
 
 
 class ProfileModel:
@@ -420,10 +420,14 @@ def _checked(
             )
     if misfit > MAX_MISFIT:
         raise NoSolutionError(
-            f"the brightness of columns differs by {misfit:.0f} of its errors, rms, from that of a "
+            f"the brightness of columns differs by {misfit:.1f} of its errors, rms, from that of a "
             "lit cylinder",
             ReasonCode.LIMB_MISFIT,
         )
+    blur = math.exp(best.state[BLUR])
+    if blur > MAX_BLUR_PX:
+        text = f"out of focus: blurred by {blur:.1f} px, wanted at most {MAX_BLUR_PX:.0f}"
+        raise NoSolutionError(text, ReasonCode.BAD_PICTURE)
     if not best.state[LIGHT] > 0.0:
         raise NoSolutionError("the light falls from nowhere", ReasonCode.WRONG_LIGHT)
     # scatter beyond what is stated widens the errors

@@ -21,7 +21,9 @@ LIT_SHARE, LIT_SIGMAS = 0.25, 6.0  # of that brightness, and over the background
 SEED_SHARE = 0.1  # of the brightness, where the printed formulas take the edge of the lit area
 MIN_LIT_PX = 24
 RIVAL_SHARE = 0.2  # of the lit area: as much of another body is one
-SATURATED_SHARE = 0.02  # of all pixels at full scale outside the body: a source is in view
+MIN_COUNTS = 60.0  # of the lit part: of less, noise does not hide rounding to whole counts
+SATURATED_SHARE = 0.02  # of a column's rows at full scale: its brightness is more than measured
+MAX_SATURATED = 0.9  # of the lit columns: the others are too few to tell from where the light falls
 HEIGHT_SHARE = 0.35  # of the brightest column: darker ones give no height
 OUTER = 0.4  # of the height from its middle: as far as bands reach that tell how ends are lit
 MIN_BANDED_PX = 40  # of the height, from where on the bands have rows enough
@@ -32,14 +34,14 @@ HEIGHT_FLOOR_PX = 0.06  # error of a height besides noise: pixel phase, blur tha
 class CylinderProfile:
     """Measurements of a picture.
 
-    columns     (n,) px;  brightness (n,) mean over `rows`, background taken off;  sigma (n,)
+    columns     (n,) px;  brightness (n,) mean over `rows`, background taken off;  sigma (n,), which
+                tells nothing of a column where pixels are at full scale
     heights     (m,) px, of `height_columns` (m,);  height_sigma (m,)
     tops        (m,) rows of their upper ends
     rows        first and last row of the mean
     bright      brightness of the lit part;  noise of a pixel beside it, 1 sigma
     lit         (n,) whether a column stands out of the background
     cut         which sides of the picture the lit part touches, in words
-    saturated   whether pixels of the lit part are at full scale
     """
 
     columns: FloatArray
@@ -54,7 +56,6 @@ class CylinderProfile:
     bright: float
     noise: float
     cut: tuple[str, ...]
-    saturated: bool
 
     @property
     def cuts_height(self) -> bool:
@@ -66,7 +67,7 @@ def measure_profile(values: Float32Array, saturation: float | None) -> CylinderP
     """Measure a picture (rows, columns) of a lit cylinder before a darker background.
 
     saturation  the highest value that it can hold; None for no limit
-    Raises NoSolutionError where nothing stands out, or more than one body.
+    Raises NoSolutionError where nothing stands out, or too little, or more than one body.
     """
     background, noise = _background(values)
     smooth = cv2.blur(values, (SMOOTH_PX, SMOOTH_PX)) - background
@@ -75,12 +76,27 @@ def measure_profile(values: Float32Array, saturation: float | None) -> CylinderP
     threshold = max(LIT_SHARE * bright, LIT_SIGMAS * noise / SMOOTH_PX)
     if not bright > 1.5 * LIT_SIGMAS * noise / SMOOTH_PX:
         raise NoSolutionError("nothing in the picture stands out", ReasonCode.NO_BODY)
+    if bright < MIN_COUNTS:
+        raise NoSolutionError(
+            f"the lit part is {bright:.0f} counts brighter than what is behind it; wanted "
+            f"{MIN_COUNTS:.0f}, so that rounding to whole counts plays no part: expose longer",
+            ReasonCode.BAD_PICTURE,
+        )
     left, top, width, height = _lit_box(smooth > threshold)
     rows = top + height // 4, max(top + height - height // 4, top + height // 4 + 1)
     band = values[rows[0] : rows[1]] - background
     brightness = band.mean(axis=0, dtype=np.float64)
     sigma = _sigmas(band, noise)
-    full = None if saturation is None else saturation - 0.5 - background
+    full = np.zeros(brightness.size, bool)
+    if saturation is not None:
+        full = (band >= saturation - 0.5 - background).mean(axis=0) > SATURATED_SHARE
+    sigma[full] = bright
+    share = float(full[brightness > threshold].mean())
+    if share > MAX_SATURATED:
+        raise NoSolutionError(
+            f"{100.0 * share:.0f} % of the lit columns are at full scale: overexposed",
+            ReasonCode.BAD_PICTURE,
+        )
     cut = _cut_sides(brightness, band, (left, top, width, height), values.shape, threshold)
     box = slice(left, left + width)
     level = float(np.quantile(brightness[box], 0.97))
@@ -93,7 +109,7 @@ def measure_profile(values: Float32Array, saturation: float | None) -> CylinderP
     ]
     spans = np.array(ends, np.float64).reshape(-1, 2)
     whole = "top" not in cut and "bottom" not in cut
-    kept = np.isfinite(spans).all(axis=1) & whole
+    kept = np.isfinite(spans).all(axis=1) & whole & ~full[columns]
     # the slope of an edge blurred by a pixel is 0.4 of its height a pixel; a height has two
     noises = np.sqrt(2.0) * noise / (0.4 * np.maximum(brightness[columns], 1e-9))
     return CylinderProfile(
@@ -109,7 +125,6 @@ def measure_profile(values: Float32Array, saturation: float | None) -> CylinderP
         bright,
         noise,
         cut,
-        full is not None and bool((band[:, box] >= full).mean() > SATURATED_SHARE),
     )
 
 
@@ -117,6 +132,8 @@ def seed_extent(profile: CylinderProfile) -> tuple[float, float]:
     """Height of the tallest column and width of the lit area, px, as the printed formulas take."""
     if not profile.heights.size:
         raise NoSolutionError("the lit area is cut, so it has no height", ReasonCode.OUTSIDE_FRAME)
+    if {"left", "right"} & set(profile.cut):
+        raise NoSolutionError("the lit area is cut, so it has no width", ReasonCode.OUTSIDE_FRAME)
     above = np.flatnonzero(profile.brightness > SEED_SHARE * profile.bright)
     first, last = int(above[0]), int(above[-1])
     level, values = SEED_SHARE * profile.bright, profile.brightness

@@ -38,12 +38,14 @@ from optnav_cli.output.cylinder_overlay import cylinder_overlay
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.wording import table_lines
+from optnav_cli.reasons import ReasonCode
 from optnav_cli.report.cylinder_plots import CYLINDER_CSV, CYLINDER_KIND, cylinder_sheet
 
 STAGE = "cylinder"
 Formula = Literal["fit", "seed"]
 CRESCENT_PX, CRESCENT_SIGMA_DEG = 5.0, 3.0
 MAX_SIGMA_DEG = 15.0  # beyond it the angle is no number to trust
+MAX_CUT_SIGMA_DEG = 6.0  # where a limb is cut other angles may fit as well, 70 deg off
 GLARE_SHARE = 0.002  # of the pixels at full scale
 MAX_STEP_S = 60.0  # between pictures that a velocity is taken from
 
@@ -135,20 +137,27 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
     except DataError as error:
         return CylinderRow(frame, reason=str(error))
     values, fit = rectified(picture.values, camera), None
+    cut: Sequence[str] = ()
     try:
         profile = measure_profile(values, picture.saturation)
+        cut = profile.cut
         if formula == "seed":
             height_px, width_px = seed_extent(profile)
             angles = height_px / lens.focal_y_px, width_px / lens.focal_x_px
             d_m, theta = seed_distance_and_angle(*angles, size)
             row = CylinderRow(frame, "", d_m, None, math.degrees(theta))
+        elif {"top", "bottom"} & set(cut) and {"left", "right"} & set(cut):
+            text = "neither its height nor its width is whole, which leaves the distance open"
+            raise NoSolutionError(text, ReasonCode.OUTSIDE_FRAME)
         else:
             fit = fit_cylinder(profile, lens, size)
             row = _row(frame, fit, profile.cut, camera, settings)
             if row.zone == "cut" and _is_dazzled(values, picture.saturation):
                 fit, row = None, _unsolved(frame, values, picture.saturation, row.reason)
     except NoSolutionError as error:
-        row = _unsolved(frame, values, picture.saturation, str(error))
+        row = _unsolved(frame, values, picture.saturation, _joined(_touched(cut), str(error)))
+        if cut and not row.zone:
+            row = replace(row, zone="cut")
     words = "unsolved" if row.d_m is None else f"d {row.d_m:.4f} m, theta {row.theta_deg:.2f} deg"
     drawn = cylinder_overlay(values, fit, lens, size, f"{words} {row.zone}")
     overlay_path(place / "overlays", frame.file).write_bytes(drawn)
@@ -179,14 +188,9 @@ def _row(
 ) -> CylinderRow:
     sigma_m, _, sigma = (float(s) for s in np.sqrt(np.diag(fit.covariance)))
     zone = zone_of(fit, cut, camera, settings)
-    sigma_deg, reason = math.degrees(sigma), ""
-    if cut:
-        reason = f"the lit part touches the picture's {', '.join(cut)} edge"
-    if sigma_deg > MAX_SIGMA_DEG:
+    sigma_deg, reason = math.degrees(sigma), _touched(cut)
+    if sigma_deg > (MAX_CUT_SIGMA_DEG if cut else MAX_SIGMA_DEG):
         return CylinderRow(frame, zone, reason=_joined("the angle of the light is open", reason))
-    if {"top", "bottom"} & set(cut) and {"left", "right"} & set(cut):
-        text = "neither its height nor its width is whole, which leaves the distance open"
-        return CylinderRow(frame, zone, reason=_joined(reason, text))
     return CylinderRow(
         frame,
         zone,
@@ -198,6 +202,10 @@ def _row(
         reason=reason,
         fit=fit,
     )
+
+
+def _touched(cut: Sequence[str]) -> str:
+    return f"the lit part touches the picture's {', '.join(cut)} edge" if cut else ""
 
 
 def _joined(*reasons: str) -> str:

@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
@@ -17,7 +18,7 @@ from optnav_cli.measurements.cylinder import (
     surface_distance,
 )
 from optnav_cli.measurements.cylinder_fit import HeightModel, IdealLens, ProfileModel, fit_cylinder
-from optnav_cli.measurements.cylinder_profile import measure_profile
+from optnav_cli.measurements.cylinder_profile import measure_profile, seed_extent
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
@@ -135,6 +136,44 @@ def test_a_dark_picture_shows_nothing() -> None:
     noise = np.random.default_rng(1).normal(3.0, 1.0, (240, 320)).astype(np.float32)
     with pytest.raises(NoSolutionError, match=r"stands out|no lit body"):
         measure_profile(noise, 255.0)
+
+
+@pytest.mark.parametrize("theta", [-60.0, 30.0, 95.0])
+@pytest.mark.parametrize("gain", [1.3, 2.0])
+def test_what_is_overexposed_tells_nothing_and_the_rest_does(gain: float, theta: float) -> None:
+    """With the clipped columns as they are, theta is off by 1 to 3 deg, 10 to 100 sigmas."""
+    picture = np.minimum(np.rint(gain * seen(1.34, 0.01, theta)), 255.0)
+    fit = fit_cylinder(measure_profile(picture, 255.0), LENS, SIZE)
+    sigma = np.sqrt(np.diag(fit.covariance))
+    assert abs(fit.theta - math.radians(theta)) < 4.0 * sigma[2]
+    assert abs(fit.distance_m - 1.34) < 4.0 * sigma[0] + 2e-4
+
+
+@pytest.mark.parametrize(
+    ("gain", "text"), [(20.0, "columns are at full scale"), (0.15, "counts brighter")]
+)
+def test_a_picture_exposed_too_long_or_too_short_is_refused(gain: float, text: str) -> None:
+    picture = np.minimum(np.rint(gain * seen(1.34, 0.01, 5.0)), 255.0).astype(np.float32)
+    with pytest.raises(NoSolutionError, match=text):
+        measure_profile(picture, 255.0)
+
+
+@pytest.mark.parametrize("height", [0.97, 1.03])
+def test_a_strip_of_another_height_is_refused(height: float) -> None:
+    other = CylinderSize(RADIUS, HEIGHT * height)
+    with pytest.raises(NoSolutionError, match=r"lit cylinder|upright|settle"):
+        fit_cylinder(measure_profile(seen(1.34, 0.01, 66.0), 255.0), LENS, other)
+
+
+def test_a_picture_out_of_focus_is_refused() -> None:
+    picture = cv2.GaussianBlur(seen(1.0, 0.0, -40.0), (0, 0), 8.0)
+    with pytest.raises(NoSolutionError, match=r"out of focus: blurred by 7"):
+        fit_cylinder(measure_profile(picture, 255.0), LENS, SIZE)
+
+
+def test_the_printed_formulas_are_not_given_a_width_that_is_cut() -> None:
+    with pytest.raises(NoSolutionError, match="has no width"):
+        seed_extent(measure_profile(seen(1.34, 0.17, 20.0), 255.0))
 
 
 def test_a_sphere_is_not_taken_for_a_cylinder() -> None:
