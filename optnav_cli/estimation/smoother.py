@@ -92,6 +92,7 @@ class SmoothedArc:
     information: FloatArray = field(default_factory=lambda: np.empty((0, 0, 0)))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what runs away is refused below, in words
 def smooth(arc: LinearArc) -> SmoothedArc:
     """Filter and smoother; measurements of one node are taken one after another.
 

@@ -1,5 +1,6 @@
 """The smoother against batch least squares, the nuisance method, and its own sigmas."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -147,3 +148,13 @@ def test_sigmas_beyond_the_digits_of_numbers_are_refused_in_words():
     fine = NodeMeasurement(0, np.ones((2, 1)), h, np.eye(2) * 1e-30)
     with pytest.raises(NoSolutionError, match="sigmas are too small"):
         smooth(replace(problem, measurements=[fine, *problem.measurements]))
+
+
+def test_an_arc_that_runs_away_is_refused_in_words_alone():
+    """Numbers that overflow on the way, as over a gap of a month, warn of nothing: it is said."""
+    problem, _ = arc(0.0)
+    away = problem.transitions * 1e200
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(NoSolutionError):
+            smooth(replace(problem, transitions=away))
