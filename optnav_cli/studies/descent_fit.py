@@ -54,8 +54,9 @@ from optnav_cli.studies.descent_flights import Way, catalog_of, pictures_of
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 # Grounds that sizes are fitted with, and one that only scores; seeds of the wrong models of both.
-FITTED, HELD = (0,), (2,)
-FITTED_WRONG, HELD_WRONG = 4, 3
+# The Sun of those fitted with stands on opposite sides, which tells what follows it from the rest.
+FITTED, HELD = (0, 5), (6,)
+FITTED_WRONG, HELD_WRONG = 4, 5
 SEARCHED_M = 20.0  # 1 sigma of the true position, for the search
 MAX_FACTOR = 8.0
 MAX_SHARE = 0.9
@@ -73,6 +74,7 @@ class FlightErrors:
     missed_px    (n, 2) measured less predicted;  sunward_px (n, 2) by a unit of sunward_postings
     by_ground    (n, 2, 3) derivative of the pixel by the ground's place
     left_px2     (n, 2, 2) what each match leaves over
+    held_sunward  by which to tell how wrong the model is, if not by sunward_postings of the sizes
     """
 
     case: str
@@ -83,6 +85,7 @@ class FlightErrors:
     sunward_px: FloatArray
     by_ground: FloatArray
     left_px2: FloatArray
+    held_sunward: float | None = None
 
     def subset(self, kept: BoolArray) -> "FlightErrors":
         """Some of the sightings."""
@@ -92,7 +95,9 @@ class FlightErrors:
     def scale(self, sizes: DescentErrorSizes) -> float:
         """How wrong the flight's model is, by the windows' first sightings; see `WindowSpread`."""
         _, first = np.unique(self.of_window, return_index=True)
-        missed = self.missed_px - sizes.sunward_postings * self.sunward_px
+        held = self.held_sunward
+        sunward = sizes.sunward_postings if held is None else held
+        missed = self.missed_px - sunward * self.sunward_px
         grounds = [self.grounds[k] for k in self.of_window[first]]
         level = self.by_ground[first] @ np.array([ground.axes[:, :2] for ground in grounds])
         off = np.linalg.pinv(level) @ missed[first, :, None]
@@ -204,9 +209,11 @@ def gathered(case: str, pictures: Path, catalog: Path, progress: Progress) -> Fl
     overlaps = np.array([[overlap(one, other) for other in keys] for one in keys])
     numbers: IndexArray = np.array([keys.index(row[0]) for row in rows])
     parts = (np.array(part, np.float64) for part in list(zip(*rows, strict=True))[1:])
-    flight = FlightErrors(case, list(grounds.values()), overlaps, numbers, *parts)
-    missed, covariance = flight.errors(shipped_sizes())
-    each = missed.reshape(-1, 2)
+    missed, shifts, by_ground, left = parts
+    known_grounds = list(grounds.values())
+    flight = FlightErrors(case, known_grounds, overlaps, numbers, missed, shifts, by_ground, left)
+    off, covariance = flight.errors(shipped_sizes())
+    each = off.reshape(-1, 2)
     count = len(each)
     own = covariance.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)]
     squares = np.einsum("ni,nij,nj->n", each, np.linalg.inv(own), each)
@@ -240,15 +247,23 @@ def drops(
     flights: Sequence[FlightErrors], sizes: DescentErrorSizes
 ) -> dict[str, tuple[float, float]]:
     """By how much halving and doubling each size lowers the logarithm of the likelihood."""
-    return likelihood.drops(
-        lambda factors: log_likelihood(flights, scaled(sizes, factors)), _names()
-    )
+    held = _held(flights, sizes)
+    return likelihood.drops(lambda factors: log_likelihood(held, scaled(sizes, factors)), _names())
+
+
+def _held(flights: Sequence[FlightErrors], sizes: DescentErrorSizes) -> list[FlightErrors]:
+    """The flights, their models as wrong as they are with this shift away from the Sun.
+
+    Were it to follow the shift that is tried, a wrong one would pass for a wrong model.
+    """
+    return [replace(flight, held_sunward=sizes.sunward_postings) for flight in flights]
 
 
 def fitted(flights: Sequence[FlightErrors], sizes: DescentErrorSizes) -> DescentErrorSizes:
     """The likeliest sizes, of those on which the flights depend."""
+    held = _held(flights, sizes)
     factors = likelihood.likeliest_factors(
-        lambda some: log_likelihood(flights, scaled(sizes, some)), _names(), MAX_FACTOR
+        lambda some: log_likelihood(held, scaled(sizes, some)), _names(), MAX_FACTOR
     )
     return scaled(sizes, factors)
 

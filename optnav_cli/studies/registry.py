@@ -147,7 +147,7 @@ _OTHERS = (
                 "--first",
                 click.IntRange(0, 10_000),
                 0,
-                "Ground to begin with: 0 and 1 were fitted with.",
+                "Ground to begin with: 0 and 5 were fitted with.",
             ),
             option("--tracks", click.IntRange(1, 100), 3, "Drawn tracks over each ground."),
             option(

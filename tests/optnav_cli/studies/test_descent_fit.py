@@ -77,6 +77,15 @@ def test_sizes_that_flights_were_made_with_are_found_again(calibrated: list[Flig
         assert 1 / 1.3 < getattr(found, name) / CALIBRATED[name] < 1.3, name
 
 
+def test_a_shift_away_from_the_sun_is_no_wrong_model(calibrated: list[FlightErrors]) -> None:
+    # the Sun on both sides, as of the flights that ship; the scale followed such a shift before
+    start = descent_fit.scaled(
+        descent_fit.DescentErrorSizes(**CALIBRATED), {"sunward_postings": 2.0}
+    )
+    found = descent_fit.fitted(calibrated, start)
+    assert 1 / 1.3 < found.sunward_postings / CALIBRATED["sunward_postings"] < 1.3
+
+
 @pytest.mark.calibration
 def test_the_shipped_sizes_are_the_calibrated_ones(calibrated: list[FlightErrors]) -> None:
     """Halving or doubling any size in the file is less likely than what it was fitted to."""
