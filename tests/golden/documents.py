@@ -6,6 +6,7 @@
 
 import json
 import re
+import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -183,8 +184,11 @@ def _report(path: Path) -> StudyReport:
 def _stored(path: Path, command: str) -> str:
     report = _report(path)
     words = [command.format(report.study)]
+    given = {name: value for name, value in report.arguments.items() if value not in (None, "")}
     words += [
-        f"--{name} {value}" for name, value in report.arguments.items() if value not in (None, "")
+        f"--{name}" if value is True else f"--{name} {shlex.quote(str(value))}"
+        for name, value in given.items()
+        if value is not False
     ]
     origin = f"From the run of `{' '.join(words)}` at commit {report.commit}, {report.date}."
     shown = [f"*{table.title}*\n\n{table.to_markdown()}" for table in report.tables]
