@@ -9,7 +9,7 @@ from catalog.bodies.ephemeris import Ephemeris, motion_of
 from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera
-from optnav_cli.frames.frames import Frame, read_frames, write_frames
+from optnav_cli.frames.frames import Frame, picture_path, read_frames, write_frames
 from optnav_cli.frames.picked_points import POINTS_CSV, PickedPoint, read_picked_points
 from optnav_cli.frames.run_settings import (
     FileAttitude,
@@ -46,7 +46,7 @@ class Folder:
 
     def picture_path(self, frame: Frame) -> Path:
         """Where a frame's picture lies, on any system."""
-        return self.path / frame.file.replace("\\", "/")
+        return picture_path(self.path, frame.file)
 
 
 def read_folder(path: str | Path, kernels: Sequence[Path] = ()) -> Folder:

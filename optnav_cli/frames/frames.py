@@ -137,6 +137,11 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: Mapping[str, Camera]) -
         return Frame(file=file, utc=utc, camera=camera, problem=str(error))
 
 
+def picture_path(folder: Path, file: str) -> Path:
+    """Where the picture that a folder's table names lies, on any system."""
+    return folder / file.replace("\\", "/")
+
+
 def _check_name(file: str) -> None:
     """Raise DataError for a name that no picture inside the folder can have."""
     path = PurePosixPath(file.replace("\\", "/"))

@@ -22,6 +22,7 @@ from catalog.inputs import check_input
 from catalog.rasters import PICTURES, open_raster, reading_raster
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import MAX_PIXELS
+from optnav_cli.frames.frames import picture_path
 
 # the highest value of the integer types pictures are taken with
 _SATURATION = {"uint8": 255.0, "uint16": 65535.0}
@@ -87,7 +88,7 @@ def frame_picture(folder: Path, file: str, camera: Camera) -> Picture:
     Raises DataError as `load_picture` does; its text names the picture as the row does, so that
     what is written does not depend on where the folder lies.
     """
-    path = folder / file.replace("\\", "/")
+    path = picture_path(folder, file)
     try:
         return load_picture(path, camera)
     except DataError as error:

@@ -28,7 +28,7 @@ from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.estimation.adjustment import AdjustedFrame, Adjustment, adjust
 from optnav_cli.estimation.models.common import Common, CommonNumber
 from optnav_cli.frames.folder import Folder, read_folder, write_folder
-from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.frames import Frame, picture_path
 from optnav_cli.frames.tables import CALIBRATION_RESIDUALS
 from optnav_cli.output.manifest import hash_files, unfinished, write_manifest
 from optnav_cli.output.run_folder import CAMERAS, read_run
@@ -303,7 +303,7 @@ def _write_wide(
             turn = camera.aligned(folder.cameras[frame.camera].stated(turn))
         changed = replace(frame, camera_from_body=turn, position_sigma_m=sigma_m)
         frames.append(replace(changed, attitude_sigma_rad=sigma))
-        target = place / frame.file.replace("\\", "/")
+        target = picture_path(place, frame.file)
         target.parent.mkdir(parents=True, exist_ok=True)
         source = folder.picture_path(frame).absolute()
         if source.exists():

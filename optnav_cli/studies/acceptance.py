@@ -235,7 +235,7 @@ def _views(row: AcceptanceCase, folder: Folder) -> list[PosedPicture]:
     views = []
     for frame in folder.frames:
         camera = folder.cameras[frame.camera]
-        seen = observation_of(frame, camera, load_picture(folder.path / frame.file, camera))
+        seen = observation_of(frame, camera, load_picture(folder.picture_path(frame), camera))
         truth = truths.get(frame.file)
         if truth is not None:
             views.append(

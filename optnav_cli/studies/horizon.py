@@ -178,7 +178,7 @@ def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[
         if attitude is None or sun is None:
             continue
         camera = folder.cameras[frame.camera]
-        picture = loaded = load_picture(folder.path / frame.file, camera)
+        picture = loaded = load_picture(folder.picture_path(frame), camera)
         for star_sensor, turned in ((False, attitude), (True, slip * attitude)):
             off = sigma if star_sensor else 0.0
             try:

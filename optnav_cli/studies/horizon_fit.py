@@ -138,7 +138,7 @@ def gathered(
         turn, sun = truth.camera_from_body, frame.sun_body
         if sun is None:
             continue
-        picture = load_picture(pictures.path / frame.file, camera)
+        picture = load_picture(pictures.picture_path(frame), camera)
         try:
             limb: LimbPoints = detect_limb(picture, camera, turn, sun, pictures.body)
             rays = limb_rays_of(limb, camera, turn)
