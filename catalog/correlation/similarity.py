@@ -14,6 +14,9 @@ from catalog.correlation.ncc import Filtered, filtered, high_pass, match_in, mat
 from catalog.correlation.peak import Match
 from catalog.geometry.kernel import bare_kernel, kernel
 
+# Nodes of all windows of a search; with more of them transforms are quicker than one product.
+MAX_IN_WINDOWS = 200_000
+
 
 class Matcher(Protocol):
     """Finds a reference in a search grid; see `catalog.correlation.ncc.match_ncc`."""
@@ -152,10 +155,16 @@ def half_pair_scores(
     _fill_turned(template.reshape(-1), *_turns(tuple(pairs), len(template), size), parts)
     parts -= parts.mean(axis=1, keepdims=True)
     lengths = np.sqrt(np.einsum("kn,kn->k", parts, parts))
-    windows = np.empty((contrast.size, size * size), np.float32)
-    _fill_windows(half.values, size, windows)
-    # one product of matrices has the sums of all pairs at all places
-    tops: list[float] = _top_scores(parts @ windows.T, contrast, lengths).tolist()
+    if contrast.size * size * size > MAX_IN_WINDOWS:
+        grids = parts.reshape(-1, size, size)
+        found = [cv2.matchTemplate(half.values, grid, cv2.TM_CCORR) for grid in grids]
+        sums = np.asarray(np.stack(found), np.float32).reshape(len(pairs), -1)
+    else:
+        windows = np.empty((contrast.size, size * size), np.float32)
+        _fill_windows(half.values, size, windows)
+        # one product of matrices has the sums of all pairs at all places
+        sums = parts @ windows.T
+    tops: list[float] = _top_scores(sums, contrast, lengths).tolist()
     return tops
 
 

@@ -26,6 +26,7 @@ ROUGH_SHARE = 0.15  # of the way to the brightest pixels: what is lit at first s
 MIN_CONTRAST_SIGMAS = 12.0
 # Rounding to whole counts hides a smaller noise: the variance of a uniform step of 1.
 ROUNDING_VARIANCE = 1.0 / 12.0
+STEP = 2  # between the pixels that levels are measured from
 HALO_PX = 6  # about a lit area its blur still shines
 MADE = 8  # things held that readers made of one picture
 # Stripes: seen in strips so wide at two opposite edges, whose correlation must be so high; smeared
@@ -103,13 +104,7 @@ def measure_levels(picture: Float32Array) -> Levels:
     rows, cols = max(height // BLOCK_PX, 1), max(width // BLOCK_PX, 1)
     mean = cv2.resize(picture, (cols, rows), interpolation=cv2.INTER_AREA)
     sky_mean = float(np.quantile(mean, SKY_QUANTILE))
-    # neighbouring blocks of the same level are sky too; the scatter inside the blocks shows it
-    sample = np.ascontiguousarray(picture[::2, ::2])
-    below = sample[sample <= sky_mean]  # its scatter no bright thing widens
-    spread = float(np.sqrt(np.mean((below - sky_mean) ** 2))) if below.size else 0.0
-    near = sample[np.abs(sample - sky_mean) <= max(4.0 * spread, 1.0)]
-    sky = float(near.mean()) if near.size else sky_mean
-    variance = float(near.var()) if near.size else 0.0
+    sky, variance = _sky(picture, sky_mean)
     noise = float(np.sqrt(max(variance, ROUNDING_VARIANCE)))
     peak = _peak(picture)
     if peak - sky < MIN_CONTRAST_SIGMAS * noise and mean.std() > max(0.25 * noise, 1.0):
@@ -126,10 +121,42 @@ def measure_levels(picture: Float32Array) -> Levels:
             ReasonCode.NO_BODY,
         )
     # the glint of opposition is several times brighter than the ground: the median is not
+    sample = picture[::STEP, ::STEP]
     rough = sample[sample > sky + max(ROUGH_SHARE * (peak - sky), THRESHOLD_SIGMAS * noise)]
     bright = float(np.median(rough[:: 1 + rough.size // 10_000])) if rough.size else peak
     rise = max(THRESHOLD_SIGMAS * noise, THRESHOLD_SHARE * (bright - sky))
     return Levels(sky, noise, bright, peak, sky + rise)
+
+
+@kernel
+def _sky(picture: Float32Array, darkest: float) -> tuple[float, float]:
+    """Mean and variance of the pixels that are sky, from the mean of the darkest blocks.
+
+    Neighbouring blocks of the same level are sky too; the scatter inside the blocks shows it.
+    """
+    # of the pixels below, whose scatter no bright thing widens; all by row, as accurate as by pairs
+    below, squares = 0, 0.0
+    for r in range(0, picture.shape[0], STEP):
+        count, total = 0, 0.0
+        for c in range(0, picture.shape[1], STEP):
+            away = picture[r, c] - darkest
+            count += away <= 0.0
+            total += away * away if away <= 0.0 else 0.0
+        below, squares = below + count, squares + total
+    reach = max(4.0 * np.sqrt(squares / max(below, 1)), 1.0)
+    near, mean, squares = 0, 0.0, 0.0
+    for r in range(0, picture.shape[0], STEP):
+        count, first, second = 0, 0.0, 0.0
+        for c in range(0, picture.shape[1], STEP):
+            away = picture[r, c] - darkest
+            count += abs(away) <= reach
+            first += away if abs(away) <= reach else 0.0
+            second += away * away if abs(away) <= reach else 0.0
+        near, mean, squares = near + count, mean + first, squares + second
+    if near == 0:
+        return darkest, 0.0
+    mean /= near
+    return darkest + mean, max(squares / near - mean * mean, 0.0)
 
 
 @kernel

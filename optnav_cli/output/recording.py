@@ -377,10 +377,11 @@ class Annotations:
         self._circles.append(circle)
 
     def _line(self, kind: int, pixels: FloatArray, rgb: Rgb, thickness: float) -> None:
+        columns = ((pixels + 0.5) * self._factor).T.tolist()
         line = {
             **self._stamp,
             "type": kind,
-            "points": [{"x": x, "y": y} for x, y in ((pixels + 0.5) * self._factor).tolist()],
+            "points": [{"x": x, "y": y} for x, y in zip(*columns, strict=True)],
             "outline_color": color(rgb),
             "outline_colors": [],
             "fill_color": _CLEAR,
