@@ -3,7 +3,9 @@
 Source: Tuchin, thesis (2010), chapter 2: the ray meets the reference ellipsoid; on the normal of
 the ellipsoid through that point lies a point of the surface; the ray meets the plane across the
 normal through it; and again, until the range settles. Where the ground's slope times the tangent of
-the incidence passes 1 it does not settle: such rays are cast against the mesh.
+the incidence passes 1 that does not settle, and a flat ray may pass over a ridge. So it starts
+above all ground, is kept between points of the ray above the ground and below it, and takes the
+ground's slope from its last two points. What does not settle all the same is cast.
 """
 
 from dataclasses import dataclass
@@ -15,7 +17,8 @@ from catalog.geometry.ellipsoid import foot_of, normal_at
 from catalog.terrain.mesh.rays import MeshRays
 
 MAX_STEPS, SETTLED_M = 40, 0.1
-MIN_COSINE = 0.02  # of a ray on the normal: flatter ones count as parallel to the plane
+MIN_COSINE = 0.02  # fall of a ray on the ground, by its length: less tells of no crossing
+NEAR_M, MAX_STRIDE = 50.0, 1.5  # higher over the ground a step is so many heights at most
 MIN_TRUSTED = 0.5  # the same cosine: of flatter rays the first crossing is looked for by casting
 ABOVE_M = 8e3  # over the ellipsoid from which normals are followed down: above all ground
 MIN_HEIGHT = -0.6  # of the smallest semi-axis: a point deeper than this has no one normal
@@ -47,6 +50,7 @@ class DigitalSurface:
         a, b, c = (mesh.corners[:, k] for k in range(3))
         across = np.cross(b - a, c - a)
         self._normals = across / np.linalg.norm(across, axis=1)[:, None]
+        self._above_all = self.radii * np.linalg.norm(mesh.corners / self.radii, axis=-1).max()
 
     def cast(self, origins: FloatArray, rays: FloatArray) -> GroundHits:
         """By exact casting against the triangles."""
@@ -59,32 +63,42 @@ class DigitalSurface:
     def settle(self, origins: FloatArray, rays: FloatArray) -> GroundHits:
         """By the iteration alone; rays that do not settle have an infinite range."""
         count = len(rays)
-        distance = _to_ellipsoid(origins, rays, self.radii)
+        distance, leaves = _through(origins, rays, self._above_all)
         settled, steps = np.zeros(count, bool), np.zeros(count, dtype=np.int64)
         met = np.zeros(count, dtype=np.int64)
+        # the ground lies between what is known to be above it and below it
+        above, below = distance.copy(), np.full(count, np.inf)
+        last, last_over = np.full(count, np.nan), np.full(count, np.nan)
         open_ = np.isfinite(distance)
         for _ in range(MAX_STEPS):
             which = np.flatnonzero(open_)
             if not which.size:
                 break
             steps[which] += 1
-            there = origins[which] + distance[which, None] * rays[which]
+            at = distance[which]
+            there = origins[which] + at[:, None] * rays[which]
             deep = (np.abs(there) / self.radii).max(axis=1) < 1.0 + MIN_HEIGHT
-            open_[which[deep]] = False
-            which, there = which[~deep], there[~deep]
-            foot = foot_of(there, self.radii)
-            up = normal_at(foot, self.radii)
-            faces, below = self.mesh.first_hits(foot + ABOVE_M * up, -up)
-            surface = foot + (ABOVE_M - np.where(np.isfinite(below), below, 0.0))[:, None] * up
-            along = np.einsum("ij,ij->i", rays[which], up)
-            flat = (np.abs(along) < MIN_COSINE) | ~np.isfinite(below)
-            reach = np.einsum("ij,ij->i", surface - origins[which], up)
-            new = reach / np.where(flat, 1.0, along)
-            done = ~flat & (new >= 0.0) & (np.abs(new - distance[which]) < SETTLED_M)
-            distance[which] = np.where(flat, np.inf, new)
-            met[which] = np.maximum(faces, 0)
+            there[deep] = self.radii
+            over, along, met[which] = self._over(there, rays[which])
+            under = deep | (over < 0.0)
+            above[which] = np.where(under, above[which], at)
+            below[which] = np.where(under, at, below[which])
+            # the plane's slope at first, then the ground's as the last step found it
+            with np.errstate(invalid="ignore", divide="ignore"):
+                slope = (over - last_over[which]) / (at - last[which])
+                slope = np.where(np.isfinite(slope) & ~deep, slope, along)
+                new = at - over / slope
+            far = np.isinf(below[which]) & (over > NEAR_M)
+            # far above it a long step may pass over a ridge
+            ahead = at + np.where(far, MAX_STRIDE, 1.0) * over
+            new = np.where(slope < -MIN_COSINE, np.where(far, np.minimum(new, ahead), new), ahead)
+            out = ~((new > above[which]) & (new < below[which])) | deep
+            new = np.where(out, 0.5 * (above[which] + below[which]), new)
+            done = np.abs(new - at) < SETTLED_M
+            last[which], last_over[which] = at, over
+            distance[which] = new
             settled[which[done]] = True
-            open_[which[flat | done]] = False
+            open_[which[done | (new > leaves[which])]] = False
         distance[~settled] = np.inf
         # of rays that miss the points are their origins: nobody reads them
         points = origins + np.where(settled, distance, 0.0)[:, None] * rays
@@ -105,24 +119,28 @@ class DigitalSurface:
 
     def height(self, places: FloatArray) -> FloatArray:
         """Of places (n, 3) over the ground along the ellipsoid's normal, m; NaN deep inside."""
+        return self._over(places, places)[0]
+
+    def _over(
+        self, places: FloatArray, rays: FloatArray
+    ) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Heights (n,) as of `height`, cosines (n,) of rays on that normal, faces (n,) there."""
         foot = foot_of(places, self.radii)
         up = normal_at(foot, self.radii)
-        _, below = self.mesh.first_hits(foot + ABOVE_M * up, -up)
+        faces, below = self.mesh.first_hits(foot + ABOVE_M * up, -up)
         over: FloatArray = np.einsum("ij,ij->i", places - foot, up) - (ABOVE_M - below)
-        return over
+        along: FloatArray = np.einsum("ij,ij->i", rays, up)
+        return over, along, np.maximum(faces, 0)
 
 
-def _to_ellipsoid(origins: FloatArray, rays: FloatArray, radii: FloatArray) -> FloatArray:
-    """Distances (n,) to the near side of an ellipsoid, infinite where rays miss it.
-
-    Where the ground lies below the ellipsoid a craft may be inside: its near side lies behind it.
-    """
+def _through(
+    origins: FloatArray, rays: FloatArray, radii: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Distances (n,) at which rays enter an ellipsoid, 0 inside, infinite for a miss, and leave."""
     start, way = origins / radii, rays / radii
     a = np.einsum("ij,ij->i", way, way)
     b = np.einsum("ij,ij->i", start, way)
     under = b * b - a * (np.einsum("ij,ij->i", start, start) - 1.0)
     with np.errstate(invalid="ignore"):
-        distance = (-b - np.sqrt(under)) / a
-    inside = np.einsum("ij,ij->i", start, start) < 1.0
-    found: FloatArray = np.where((distance > 0.0) | inside, distance, np.inf)
-    return found
+        enters, leaves = ((-b + sign * np.sqrt(under)) / a for sign in (-1.0, 1.0))
+    return np.where(leaves > 0.0, np.maximum(enters, 0.0), np.inf), leaves
