@@ -7,6 +7,9 @@ are bounded; so is the set, and all trials whose errors are cut at the same boun
 
 The bound of a box is exact where the errors are linear in f: at its corners. Sums of sets are taken
 axis by axis, which is more than the set itself: so the bound is some tenths larger than the trials.
+Of the velocity change the boxes' corners are no measure: errors of one arc go together, and what a
+correction leaves of them the next one takes away. Its bound is by directions: along each the most
+that all errors add up to, each within its ellipsoid.
 """
 
 from dataclasses import dataclass, replace
@@ -25,6 +28,8 @@ from optnav_cli.reasons import ReasonCode
 CELLS = 24  # along each axis of a set
 PIECES = 6  # along each axis of the injection's errors
 MAX_CONDITION = 1e10  # of W with xi, eta in m and tau as the distance flown in it
+DIRECTIONS = 1000  # of dv, that lie about a sphere so near that none is further off one than this:
+NEXT_RAD = 2.8 / np.sqrt(DIRECTIONS)
 SIGNS = np.array([[a, b, c] for a in (-1.0, 1.0) for b in (-1.0, 1.0) for c in (-1.0, 1.0)])
 CHUNK = 20_000  # boxes at once
 THRUST_STEPS = 60
@@ -225,9 +230,62 @@ def cover(task: DeliveryTask) -> list[BoxStage]:
     """The sets before each correction and at the arrival, as bounds."""
     bound = task.settings.burns.bound_sigmas
     stages = [_injected(task, bound)]
-    for correction, more in zip(task.corrections, task.later, strict=True):
-        stages.append(_corrected(task, stages[-1], correction, more))
+    each, total = dv_bounds(task)
+    for correction, more, most in zip(task.corrections, task.later, each, strict=True):
+        stages.append(_corrected(task, stages[-1], (correction, more, most)))
+    stages[-1] = replace(stages[-1], spent=np.minimum(stages[-1].spent, total))
     return stages
+
+
+def dv_bounds(task: DeliveryTask) -> tuple[list[float], float]:
+    """The largest dv of each correction and of all together, m/s.
+
+    The dv of all is the sum along their directions, of which neighbours alone have errors in
+    common: the most over all directions is found from the first correction to the last.
+    """
+    burns, corrections = task.settings.burns, task.corrections
+    bound = burns.bound_sigmas
+    size, aside = bound * burns.size, float(np.sin(bound * np.radians(burns.direction_deg)))
+    ways = _directions()
+    pulls = [ways @ np.linalg.inv(correction.w) for correction in corrections]
+
+    def most(covariance: FloatArray, along: FloatArray) -> FloatArray:
+        found: FloatArray = bound * np.linalg.norm(along @ _root(covariance), axis=-1)
+        return found
+
+    first, widen = corrections[0], 1.0 / float(np.cos(NEXT_RAD))
+    spent = bound * np.abs(pulls[0] @ task.injection).sum(axis=1) + most(first.unknown, pulls[0])
+    each = [widen * float((spent + most(first.errors, pulls[0])).max())]
+    for before, correction, old, pull in zip(corrections, corrections[1:], pulls, pulls[1:]):
+        burnt = pull @ before.w
+        length = np.linalg.norm(burnt, axis=1)
+        still = most(correction.unknown, pull) + bound * burns.fixed_m_s * length
+        alone = still + each[-1] * float(np.hypot(size, aside)) * length
+        alone += most(before.errors, pull) + most(correction.errors, pull)
+        along = np.abs(burnt @ ways.T)
+        across = np.sqrt(np.maximum(length[:, None] ** 2 - along**2, 0.0))
+        off = NEXT_RAD * length[:, None]
+        wrong = each[-1] * (size * (along + off) + aside * (across + off))
+        both = most(before.errors, pull[:, None] - old)
+        spent = still + (spent + both + wrong).max(axis=1)
+        each.append(widen * float(alone.max()))
+    total = widen * float((spent + most(corrections[-1].errors, pulls[-1])).max())
+    return each, min(total, sum(each))
+
+
+def _directions() -> FloatArray:
+    """(DIRECTIONS, 3) unit vectors all about, on a spiral."""
+    number = np.arange(DIRECTIONS) + 0.5
+    z, turn = 1.0 - 2.0 * number / DIRECTIONS, np.pi * (1.0 + np.sqrt(5.0)) * number
+    flat = np.sqrt(1.0 - z * z)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """(3, 3) that takes independent numbers of size 1 to errors of this covariance."""
+    values, axes = np.linalg.eigh(covariance)
+    found: FloatArray = axes * np.sqrt(np.maximum(values, 0.0))
+    return found
 
 
 def _injected(task: DeliveryTask, bound: float) -> BoxStage:
@@ -246,9 +304,13 @@ def _injected(task: DeliveryTask, bound: float) -> BoxStage:
 
 
 def _corrected(
-    task: DeliveryTask, stage: BoxStage, correction: Correction, unknown: FloatArray
+    task: DeliveryTask, stage: BoxStage, by: tuple[Correction, FloatArray, float]
 ) -> BoxStage:
-    """The set that a correction leaves: what its burn does wrong, and the navigation's error."""
+    """The set that a correction leaves: what its burn does wrong, and the navigation's error.
+
+    by  the correction, what thrust adds after it, and the largest dv it can have
+    """
+    correction, unknown, most = by
     burns = task.settings.burns
     bound = burns.bound_sigmas
     inverse = np.linalg.inv(correction.w)
@@ -264,13 +326,11 @@ def _corrected(
     else:
         pieces = (stage.corners[:, :, None] + SIGNS * navigation).reshape(len(stage.corners), -1, 3)
         before = np.zeros(len(pieces))
-    largest = 0.0
     for first in range(0, len(pieces), CHUNK):
         corners = pieces[first : first + CHUNK]
         burn = corners @ inverse.T
         sizes = np.linalg.norm(burn, axis=2)
-        dv = sizes.max(axis=1)
-        largest = max(largest, float(dv.max()))
+        dv = np.minimum(sizes.max(axis=1), most)
         # the size's error leaves a share of f itself; the direction's lies across the burn
         wrong = bound * burns.size * np.abs(corners).max(axis=1)
         along = np.einsum("nki,ji->nkj", burn, correction.w) / np.maximum(sizes, 1e-12)[..., None]
@@ -283,7 +343,7 @@ def _corrected(
         lows.append(-reach)
         highs.append(reach)
         spent.append(before[first : first + CHUNK] + dv)
-    return _filled(np.concatenate(lows), np.concatenate(highs), np.concatenate(spent), largest)
+    return _filled(np.concatenate(lows), np.concatenate(highs), np.concatenate(spent), most)
 
 
 def _filled(lows: FloatArray, highs: FloatArray, spent: FloatArray, dv_m_s: float) -> BoxStage:
@@ -315,12 +375,12 @@ def fly_deliveries(task: DeliveryTask, count: int, seed: int, cut: bool) -> Tria
         return np.clip(found, -bound, bound) if cut else found
 
     def spread(covariance: FloatArray) -> FloatArray:
-        """Errors (count, 3), each axis within its bound."""
-        values, axes = np.linalg.eigh(covariance)
-        root = axes * np.sqrt(np.maximum(values, 0.0))
-        errors: FloatArray = rng.standard_normal((count, 3)) @ root.T
-        most = bound * np.sqrt(np.diag(covariance))
-        return np.clip(errors, -most, most) if cut else errors
+        """Errors (count, 3), cut within the ellipsoid of the bound."""
+        unit = rng.standard_normal((count, 3))
+        if cut:
+            unit *= np.minimum(1.0, bound / np.linalg.norm(unit, axis=1))[:, None]
+        errors: FloatArray = unit @ _root(covariance).T
+        return errors
 
     f = drawn(3) @ task.injection.T + spread(task.corrections[0].unknown)
     errors, spent = [f], []

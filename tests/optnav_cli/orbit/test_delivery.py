@@ -124,8 +124,35 @@ def test_points_outside_are_not_held(task: DeliveryTask) -> None:
 
 
 def test_later_corrections_leave_smaller_errors(task: DeliveryTask) -> None:
+    """Until the last one, half a day before the arrival: its xi is the navigation's then."""
     reach = np.array([box.reach for box in cover(task)])
-    assert (np.diff(reach[:, :2], axis=0) < 0.0).all()
+    assert (np.diff(reach[:3, :2], axis=0) < 0.0).all()
+    assert (np.diff(reach[:, 1]) < 0.0).all()
+
+
+def test_directions_lie_about_the_sphere_as_near_as_they_are_taken_to() -> None:
+    rng = np.random.default_rng(1)
+    any_way = rng.normal(size=(20_000, 3))
+    any_way /= np.linalg.norm(any_way, axis=1)[:, None]
+    nearest = np.arccos((any_way @ delivery._directions().T).max(axis=1))
+    assert nearest.max() < delivery.NEXT_RAD
+
+
+def test_the_bound_of_all_corrections_is_reached_by_errors_at_their_bounds(
+    task: DeliveryTask,
+) -> None:
+    """Injection and navigation at their bounds as the first burn wants it most."""
+    first = task.corrections[0]
+    inverse, bound = np.linalg.inv(first.w), task.settings.burns.bound_sigmas
+    burns = []
+    for way in delivery._directions():
+        pull = way @ inverse
+        injected = bound * task.injection @ np.sign(pull @ task.injection)
+        known = bound * first.errors @ pull / np.sqrt(pull @ first.errors @ pull)
+        burns.append(np.linalg.norm(inverse @ (injected + known)))
+    each, total = delivery.dv_bounds(task)
+    assert max(burns) <= each[0] <= 1.01 * max(burns)
+    assert each[0] < total <= sum(each)
 
 
 def test_thrust_that_is_wrong_widens_the_arrival(task: DeliveryTask) -> None:
