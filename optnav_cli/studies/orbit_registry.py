@@ -59,9 +59,9 @@ ORBIT_STUDIES = (
         "Orbits through the fixes of simulated flights against the fixes, at Phobos and the Moon.",
         """Fly past Phobos and over the Moon, navigate, fit orbits, and compare with the truth.
 
-        Fits on a flight of its own what errors of near fixes have in common. The flight over the
-        Moon needs the folder of OPTNAV_SHARED_DATA. Takes half an hour on two cores; --rows
-        approach leaves the Moon out, --frames 8 gives a first look.""",
+        Several flights a row, and one of its own that shows what errors of near fixes have in
+        common. Flights over the Moon need the folder of OPTNAV_SHARED_DATA. Takes an hour on two
+        cores; --rows approach leaves the Moon out, --frames 8 gives a first look.""",
         "--frames 8 --rows approach",
         (
             output("optnav-orbit-runs", "Folder for all files; pictures in it are used again."),
