@@ -103,7 +103,8 @@ class Figures:
     nees_range         where `nees` lies in 95 % of cases when the covariance is honest
     attitude_rms       angle of the attitude error, rms
     n_predicted ...    control points, summed over the solved frames
-    n_wrong            wrong ones among n_checked kept points, where truth and camera are known
+    n_wrong            wrong ones among n_checked kept control points; None where no frame has a
+                       camera and true attitude to check them by
     north_frames       frames whose N is local north for want of neighbours
     beyond_5_sigma     solved frames whose error is more than 5 times what its covariance states:
                        1.5e-5 of them if it is honest
@@ -125,7 +126,7 @@ class Figures:
     n_matched: int
     n_used: int
     n_wrong: int
-    n_checked: int
+    n_checked: int | None
     north_frames: int
     unsolved_reasons: Mapping[ReasonCode, int]
     beyond_5_sigma: int = 0
@@ -213,7 +214,7 @@ def figures_of(frames: Sequence[FrameError]) -> Figures:
         n_matched=sum(f.solution.n_matched or 0 for f in good),
         n_used=sum(f.solution.n_used or 0 for f in good),
         n_wrong=sum(f.n_wrong or 0 for f in checked),
-        n_checked=sum(f.n_checked or 0 for f in checked),
+        n_checked=sum(f.n_checked or 0 for f in checked) if checked else None,
         north_frames=sum(f.forward == "north" for f in good),
         unsolved_reasons=dict(sorted(reasons.items())),
         beyond_5_sigma=int((nees > BEYOND_SIGMAS**2).sum()),

@@ -168,11 +168,11 @@ def report(results: Sequence[FlightResult]) -> StudyReport:
         used = 100.0 * f.n_used / max(f.n_predicted, 1)
         inside = 100.0 * min(f.inside_3_sigma)
         honesty = (inside, _worst(result) if f.solved else math.nan)
-        counts = (used, f.n_wrong, f.n_checked)
+        counts = (used, f.n_wrong, f.n_checked or 0)
         rows[result.row.ground].append(
             (result.case, f.solved, f.frames, *errors, *honesty, *counts)
         )
-    counted = [(f.n_wrong, f.n_checked, f.n_used, f.n_predicted) for f in figures]
+    counted = [(f.n_wrong, f.n_checked or 0, f.n_used, f.n_predicted) for f in figures]
     wrong, checked, used, predicted = map(sum, zip(*counted))
     solved, frames = (sum(getattr(f, name) for f in figures) for name in ("solved", "frames"))
     worst = max(results, key=_worst)

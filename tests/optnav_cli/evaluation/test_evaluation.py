@@ -129,8 +129,22 @@ def test_without_the_cameras_matches_are_not_checked_and_it_is_said(tmp_path, ma
     make_run(tmp_path, count=5)
     (tmp_path / "cameras" / "unk.toml").unlink()
     evaluation = evaluate_run(tmp_path, tmp_path / "truth.csv")
+    assert evaluation.figures().n_checked is None
+    assert "wrong matches: not checked (the run has no camera files" in format_table(evaluation)
+
+
+def test_a_run_that_kept_windows_alone_is_not_said_to_lack_cameras(tmp_path, make_run):
+    make_run(tmp_path, count=5)
+    path = tmp_path / "matches.csv"
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, [*(key for key in rows[0] if key != "kind"), "kind"])
+        writer.writeheader()
+        writer.writerows({**row, "kind": "window"} for row in rows)
+    evaluation = evaluate_run(tmp_path, tmp_path / "truth.csv")
     assert evaluation.figures().n_checked == 0
-    assert "wrong matches: not checked" in format_table(evaluation)
+    assert "not checked (no control point was kept; where windows" in format_table(evaluation)
 
 
 def test_a_lone_frame_is_measured_along_local_north_and_it_is_said(tmp_path, make_run):
