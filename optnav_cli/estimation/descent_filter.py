@@ -248,11 +248,13 @@ class DescentFilter:
         numbers: IndexArray,
         seen: Sightings,
         shared_px: FloatArray | None = None,
+        gate: float = GATE,
     ) -> Update:
         """Update by all sightings of a frame at once; what contradicts the others is left out.
 
         numbers    (n,) of the ground points seen; the places in `seen` are not read
         shared_px  (n, 2, m) what m errors that sightings have in common move them by, at 1 sigma
+        gate       the widest residual that is kept, as GATE
         Raises NoSolutionError for a point that leaves the view, or for sightings none of which
         agrees with the state; the state is then as it was.
         """
@@ -266,7 +268,7 @@ class DescentFilter:
             state, covariance, squares = self._updated(
                 camera, stated, numbers[kept], seen.subset(kept), shared[kept]
             )
-            wide = squares > GATE
+            wide = squares > gate
             if not wide.any():
                 break
             # the worst drag others along: first those that are at least half as wide

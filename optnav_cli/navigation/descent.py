@@ -14,16 +14,9 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.descent_filter import GATE
 from optnav_cli.estimation.models.points import Pose, predict
-from optnav_cli.fix import (
-    Evidence,
-    Fix,
-    MatchKind,
-    Method,
-    NoFix,
-    PositionPrior,
-    Solution,
-)
+from optnav_cli.fix import Evidence, Fix, MatchKind, Method, NoFix, PositionPrior, Solution
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.run_settings import InertialSettings
@@ -31,12 +24,7 @@ from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.navigation.answers import Answers, FrameMethods, NavigationInputs
 from optnav_cli.navigation.control_points.expectation import FrameContext
 from optnav_cli.navigation.control_points.field import ControlPointField
-from optnav_cli.navigation.descent_errors import (
-    SCALES,
-    WindowError,
-    WindowSpread,
-    window_ground,
-)
+from optnav_cli.navigation.descent_errors import SCALES, WindowError, WindowSpread, window_ground
 from optnav_cli.navigation.descent_rows import match_rows
 from optnav_cli.navigation.descent_state import JointState, Sighting, track_sigmas
 from optnav_cli.navigation.descent_windows import (
@@ -57,6 +45,9 @@ from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 WIDE_NODES = 5.0
 # So many windows must agree at first, when nothing but they bears the position out.
 MIN_FIRST = 5
+# Windows scatter with longer tails than the filter's Gaussian: of right ones this gate takes one in
+# 90 and most of those that would draw the solution along. Where fewer than half pass, GATE decides.
+WINDOW_GATE = 9.0
 # With at least so many windows found, most of which the track contradicts, the track is wrong.
 MIN_AGAINST = 6
 # No craft turns its velocity faster than by so many m/s^2; a track that does so jumps.
@@ -353,16 +344,20 @@ class DescentNavigator:
         if not self._solved and len(found) < MIN_FIRST:
             text = f"{len(found)} windows were found; the first frame needs {MIN_FIRST}"
             raise NoSolutionError(text, ReasonCode.FEW_POINTS)
-        try:
-            made = _joined(self._state, frame, stated, found, landmarks)
-            agreeing = sum(made.used[one.window.key] for one in found)
-            if 2 * agreeing >= len(found) and (self._solved or agreeing >= MIN_FIRST):
+        seen = len(found) + len(landmarks)
+        for gate in (WINDOW_GATE, GATE) if found else (GATE,):
+            try:
+                made = _joined(self._state, frame, stated, found, landmarks, gate)
+            except NoSolutionError as error:
+                reason = error
+                continue
+            agreeing = sum(made.used.values())  # landmarks bear the track out as well
+            if 2 * agreeing >= seen and (self._solved or agreeing >= MIN_FIRST):
                 return made
-            text = f"{agreeing} of {len(found)} windows agree with the inertial track"
-            raise NoSolutionError(text, ReasonCode.POINTS_DISAGREE)
-        except NoSolutionError:
-            if not self._solved or len(found) < MIN_AGAINST:
-                raise
+            text = f"{agreeing} of {seen} windows and landmarks agree with the inertial track"
+            reason = NoSolutionError(text, ReasonCode.POINTS_DISAGREE)
+        if not self._solved or len(found) < MIN_AGAINST:
+            raise reason
         return self._after_jump(frame, stated, found)
 
     def _after_jump(
@@ -394,11 +389,11 @@ def _joined(
     stated: Pose,
     found: Sequence[SoughtWindow],
     landmarks: Sequence[SoughtLandmark],
+    gate: float = GATE,
 ) -> _Updated:
     """A copy of a state updated by windows and landmarks; windows that do not agree leave it.
 
-    Again from before them while the new windows show that the model is worse or better than was
-    known.
+    Again from before them while the new ones show that the model is worse or better than was known.
     """
     by_position = np.zeros((0, 2, 3))
     if found:
@@ -413,7 +408,7 @@ def _joined(
         if new:
             joined.join_windows([each.error(state.sizes, scale) for each in grounds], places_m)
         seen = _sightings(state, frame, found, by_position, landmarks, scale)
-        update = joined.update(frame.camera, stated, seen)
+        update = joined.update(frame.camera, stated, seen, gate)
         if 2 * int(update.used[: len(found)].sum()) < len(found):
             break  # a track that jumped or wrong matches, not windows that scatter
         joined.spread = state.spread.with_windows(grounds, update.squares[new], scale, state.sizes)

@@ -15,7 +15,7 @@ from catalog.arrays import FloatArray, IndexArray
 from catalog.geometry.rotations import ARCSEC
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.descent_filter import DescentFilter, TrackErrors, Update
+from optnav_cli.estimation.descent_filter import GATE, DescentFilter, TrackErrors, Update
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.matching.point_match import PointMatch
@@ -132,7 +132,9 @@ class JointState:
         self.filter.add_sighted(camera, stated, places_m, covariances_px2, sigmas)
         self.keys += numbers
 
-    def update(self, camera: Camera, stated: Pose, seen: Sequence[Sighting]) -> Update:
+    def update(
+        self, camera: Camera, stated: Pose, seen: Sequence[Sighting], gate: float = GATE
+    ) -> Update:
         """Update by all sightings of a frame. Raises NoSolutionError, the filter as it was."""
         numbers: IndexArray = np.array([self.keys.index(one.key) for one in seen])
         pixels = np.array([one.pixel for one in seen])
@@ -145,7 +147,7 @@ class JointState:
         shared = predict(camera, pose, places)[1][:, :, :3] * is_landmark[:, None, None]
         shared = np.nan_to_num(self.sizes.landmark_shift * distance * shared)
         found = Sightings(places, pixels, covariances)
-        return self.filter.update(camera, stated, numbers, found, shared)
+        return self.filter.update(camera, stated, numbers, found, shared, gate)
 
     def keep(self, kept: set[WindowKey | int]) -> None:
         """Marginalise all ground points but some, and what windows have in common."""

@@ -102,6 +102,19 @@ def test_a_wrong_sighting_is_left_out_and_moves_nothing() -> None:
     assert flown.state[:3] == pytest.approx(clean.state[:3], abs=1.0)
 
 
+def test_a_narrow_gate_leaves_out_what_a_wide_one_keeps() -> None:
+    rng = np.random.default_rng(3)
+    places = ground(rng, 12)
+    pixels, _ = predict(CAMERA, POSE, places)
+    pixels[4] += [3.5 * np.hypot(0.2, 1.0), 0.0]  # 3.5 sigma of a pixel and of ground at 8 km
+    covariances = np.tile(1.04 * np.eye(2), (12, 1, 1))
+    for gate, kept in ((16.0, 12), (9.0, 11)):
+        flown = DescentFilter(ERRORS)
+        numbers = flown.add_points(places, 1e-6 * np.eye(36))
+        seen = Sightings(places, pixels, covariances)
+        assert flown.update(CAMERA, POSE, numbers, seen, gate=gate).used.sum() == kept
+
+
 def test_sightings_that_leave_the_view_change_nothing() -> None:
     flown = DescentFilter(ERRORS)
     numbers = flown.add_points(np.array([[1.76e6, 0.0, 0.0]]), np.eye(3))

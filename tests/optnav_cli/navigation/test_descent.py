@@ -4,8 +4,10 @@ import csv
 import re
 import shutil
 from collections.abc import Callable
+from contextlib import closing
 from datetime import datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -24,10 +26,11 @@ from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.frames.truth import read_truth
+from optnav_cli.navigation import descent
 from optnav_cli.output.run_folder import RECORDING, read_run
 from optnav_cli.output.tables import read_matches
 from optnav_cli.reasons import ReasonCode
-from optnav_cli.runs.frame_worker import FrameWorker
+from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from optnav_cli.simulation.descent import Descent, DescentSettings
 from optnav_cli.simulation.passes import SunSettings
 from optnav_cli.simulation.sections import DetailSettings, GlobeSettings, MainCamera
@@ -42,6 +45,7 @@ principal_point_px = [149.5, 149.5]
 psf_sigma_px = 0.7
 psf_error_px = 0.05
 """
+FOUND = SimpleNamespace(reason="")
 BOX = (-16.2, -44.0, -14.2, -43.0)
 
 
@@ -143,6 +147,28 @@ def test_a_track_that_jumps_by_5_km_is_said(
     solutions = read_run(flown(jump)).solutions
     assert [row.solved for row in solutions[:2]] == [True, True]
     assert re.search(r"jumps by (4\.9|5\.\d) km in 10 s", solutions[2].reason)
+
+
+def test_landmarks_outvote_a_few_wrong_windows(
+    pictures: Path, catalog: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """5 of 11 windows and all 9 landmarks go with the track: it has not jumped."""
+    windows = [SimpleNamespace(window=SimpleNamespace(key=k), match=FOUND) for k in range(11)]
+    landmarks = [SimpleNamespace(match=FOUND) for _ in range(9)]
+
+    def joined(*args: Any) -> SimpleNamespace:
+        used = {k: k < 5 for k in range(11)} | {100 + k: True for k in range(len(args[4]))}
+        return SimpleNamespace(used=used)
+
+    monkeypatch.setattr(descent, "_joined", joined)
+    with closing(FrameWorker(RunInputs(pictures, [catalog]))) as worker:
+        navigator = worker.descent(InertialSettings())
+        assert navigator is not None
+        monkeypatch.setattr(navigator, "_solved", True)
+        monkeypatch.setattr(navigator, "_after_jump", lambda *_: "jumped")
+        found: Any = navigator._updated
+        assert found(None, None, windows, landmarks).used[0]
+        assert found(None, None, windows, []) == "jumped"
 
 
 def test_rows_that_run_back_are_refused(

@@ -12,14 +12,14 @@ from optnav_cli.studies import descent_fit
 from optnav_cli.studies.descent_fit import FlightErrors
 
 AXES = body_from_local(-0.75, -0.2)
-WINDOWS, FRAMES, FLIGHTS, PIXEL_M = 25, 4, 6, 10.0
+WINDOWS, FRAMES, FLIGHTS, PIXEL_M = 25, 4, 8, 10.0
 LEAST_DROP = 2.0  # of the logarithm of the likelihood: seven times less likely
 # The sizes as they were last set and scored. Who sets them anew writes the new ones here.
 CALIBRATED = {
     "own_postings": 0.075,
     "remainder": 1.3,
-    "common": 0.25,
-    "sunward_postings": 0.015,
+    "common": 0.07,
+    "sunward_postings": 0.01,
     "height_postings": 0.02,
     "fresh_px": 0.08,
     "fresh_share": 0.22,
