@@ -44,14 +44,12 @@ class SurfaceError:
     """How wrong the surface's model is: 1 sigma of its heights and the length that it is alike.
 
     near_m, site  1 sigma within NEAR_M of a place (3,), body frame, which pictures have shown
-    face_m        over which faces of the model average what their vertices are wrong by
     """
 
     sigma_m: float
     length_m: float
     near_m: float = 0.0
     site: tuple[float, float, float] | None = None
-    face_m: float = 0.0
 
     def sigma(self, points: FloatArray) -> FloatArray:
         """(n,) 1 sigma at points (n, 3)."""
@@ -67,9 +65,7 @@ class SurfaceError:
         squares = np.einsum("ij,ij->i", points, points)[:, None]
         apart = squares + np.einsum("ij,ij->i", others, others) - 2.0 * points @ others.T
         sizes = np.outer(self.sigma(points), self.sigma(others))
-        # a face between vertices that err is wrong by less than they are, and alike all over
-        away = np.sqrt(np.maximum(apart, 0.0) + self.face_m**2)
-        shared = (1.0 - ROUGH) * np.exp(-away / self.length_m)
+        shared = (1.0 - ROUGH) * np.exp(-np.sqrt(np.maximum(apart, 0.0)) / self.length_m)
         found: FloatArray = sizes * shared
         return found
 

@@ -32,9 +32,6 @@ from optnav_cli.orbit.qso_motion import MoonMotion, split
 from optnav_cli.orbit.qso_settings import motion_of_moon
 
 STEP_S = 60.0
-# Of the way between vertices: over it faces average what vertices are wrong by. Of the correlation
-# of heights on 12 drawn grounds each, alike over 200 m and 1 km, to 0.04.
-FACE = 0.55
 QSO_DAYS = 1.0
 MARGIN_M = 400.0  # about the feet of the descent's beams: the craft may stand so far aside
 # Spacings of the surface's errors by their length, and their shares of the variance: least squares
@@ -144,9 +141,7 @@ def surface_error(task: LandingTask) -> SurfaceError:
     surface = task.settings.surface
     x, y, z = task.site.point.tolist()
     near = min(surface.near_error_m, surface.error_m)
-    apart = np.sqrt(4.0 * np.pi / len(task.shape.vertices)) * task.motion.moon.radius_m
-    face = FACE * float(apart)
-    return SurfaceError(surface.error_m, surface.error_length_m, near, (x, y, z), face)
+    return SurfaceError(surface.error_m, surface.error_length_m, near, (x, y, z))
 
 
 def start_covariance(settings: LandingSettings) -> FloatArray:
