@@ -19,6 +19,7 @@ from catalog.bodies.ephemeris import SUN_GM_M3_S2, AnalyticEphemeris
 from catalog.bodies.epochs import DAY_S
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
+from optnav_cli.dynamics.orbit_integrator import SUN_RADIUS_M
 from optnav_cli.reasons import ReasonCode
 
 RELATIVE, PLACE_M, SPEED_M_S = 1e-11, 1e-3, 1e-9
@@ -81,7 +82,10 @@ class TargetMotion:
         name = "sun" if centre == "sun" else "earth"
         places = np.array([-motion.position_m(name, float(t)) for t in times])  # type: ignore[arg-type]
         self._spline = CubicSpline(times, places)
-        self.gm = SUN_GM_M3_S2 if centre == "sun" else load_body(centre).gm_m3_s2
+        self.gm, self.radius_m = SUN_GM_M3_S2, SUN_RADIUS_M
+        if centre != "sun":
+            body = load_body(centre)
+            self.gm, self.radius_m = body.gm_m3_s2, body.radius_m
         self.pole = body_from_inertial(target, begin_s)[2]
         away = float(np.linalg.norm(places[-1]))
         self.sphere_m = away * (target.gm_m3_s2 / self.gm) ** 0.4
@@ -112,11 +116,34 @@ class TargetMotion:
         start = np.concatenate([state, np.eye(6).ravel()])
         tolerance = np.concatenate([[PLACE_M] * 3, [SPEED_M_S] * 3, [1e-9] * 36])
         done = solve_ivp(
-            self.rates, times[[0, -1]], start, "DOP853", times, rtol=RELATIVE, atol=tolerance
+            self.rates,
+            times[[0, -1]],
+            start,
+            "DOP853",
+            times,
+            events=self.over_centre,
+            rtol=RELATIVE,
+            atol=tolerance,
         )
+        self.check(done.t_events[0] - times[0])
         if not done.success or not np.isfinite(done.y).all():
             raise NoSolutionError("the path cannot be followed", ReasonCode.NO_SOLUTION)
         return done.y[:6].T.copy(), done.y[6:].T.reshape(-1, 6, 6)
+
+    def over_centre(self, t: float, y: FloatArray) -> float:
+        """How high a state is over the centre's sphere, m; an event that ends a path there."""
+        return float(np.linalg.norm(y[:3]) - self.radius_m)
+
+    over_centre.terminal = True  # type: ignore[attr-defined]
+
+    def check(self, meets_s: FloatArray) -> None:
+        """Raise NoSolutionError for a path that meets the centre so long after its start."""
+        if len(meets_s):
+            raise NoSolutionError(
+                f"the path meets the {self.centre} {meets_s[0]:.0f} s after the start; state "
+                "another start",
+                ReasonCode.NO_SOLUTION,
+            )
 
     def arrival(self, state: FloatArray, tdb_s: float) -> BPlane:
         """The arrival of a state (6,) from the centre at a time near the target."""
@@ -225,10 +252,23 @@ def _entry(motion: TargetMotion, state: FloatArray, begin: float, end: float) ->
         return float(np.linalg.norm(away) - motion.sphere_m)
 
     inside.terminal = True  # type: ignore[attr-defined]
+    if motion.over_centre(begin, state) < 0.0:
+        raise NoSolutionError(
+            f"the start is {np.linalg.norm(state[:3]) / 1e3:.0f} km from the centre of the "
+            f"{motion.centre}, inside it; state another start",
+            ReasonCode.NO_SOLUTION,
+        )
     start = np.concatenate([state, np.eye(6).ravel()])
     found = solve_ivp(
-        motion.rates, (begin, end), start, "DOP853", events=inside, rtol=1e-9, atol=1.0
+        motion.rates,
+        (begin, end),
+        start,
+        "DOP853",
+        events=[motion.over_centre, inside],
+        rtol=1e-9,
+        atol=1.0,
     )
+    motion.check(found.t_events[0] - begin)
     if found.status != 1:
         raise NoSolutionError(
             f"the path does not come within {motion.sphere_m / 1e3:.0f} km of "

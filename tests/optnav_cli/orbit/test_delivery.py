@@ -180,6 +180,21 @@ def test_a_start_that_misses_the_target_is_refused() -> None:
         delivery_task(wrong, MOON, "moon.toml")
 
 
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        (
+            {"position_km": (0.0, 1778.8, 1196.7)},
+            "the start is 2144 km from the centre of the earth",
+        ),
+        ({"velocity_km_s": (-9.0, -2.5, -1.7)}, r"the path meets the earth \d+ s after the start"),
+    ],
+)
+def test_a_path_through_the_centre_is_refused_at_once(wrong: dict[str, object], why: str) -> None:
+    with pytest.raises(NoSolutionError, match=why):
+        delivery_task(replaced(**wrong), MOON, "moon.toml")
+
+
 def test_an_aim_out_of_reach_is_refused() -> None:
     aim = AimSettings(xi_km=6000.0, eta_km=1000.0, pericentre="2026-03-03T12:00:00Z")
     with pytest.raises(NoSolutionError):
