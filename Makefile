@@ -62,8 +62,8 @@ fuzz: $(READY) ## hostile inputs (N=500 SEED=1; one of them again: CASE=kind:see
 study-%: $(READY) ## one long experiment behind the figures, such as study-selection
 	$(BIN)/optnav study $* $(ARGS)
 
-bench: $(READY) ## speed, as ratios to well-known tools on this machine
-	OPTNAV_BENCH=full OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/bench -m bench -q -s $(ARGS)
+bench: $(READY) ## speed, as ratios to well-known tools on this machine (STORE=yes keeps the table)
+	OPTNAV_BENCH=full OPTNAV_BENCH_STORE=$(STORE) OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/bench -m bench -q -s $(ARGS)
 
 bench-global: $(if $(DIR),$(READY)) ## a catalog of the whole Moon at full size (DIR=/some/folder, 19 GB; an hour)
 	@[ -n "$(DIR)" ] || \

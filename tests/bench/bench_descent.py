@@ -7,7 +7,7 @@ import pytest
 
 from optnav_cli.estimation.descent_filter import TRACK
 from optnav_cli.studies.descent import TIMED_LANDMARKS, filter_update
-from tests.bench.timing import in_turn, spread, within
+from tests.bench.timing import in_turn, result, spread, within
 
 pytestmark = pytest.mark.bench
 
@@ -25,6 +25,10 @@ def test_an_update_with_sixty_landmarks_against_a_product_of_its_covariance():
     times = in_turn(calls, ROUNDS, time.process_time)
     ratio = spread(np.divide(times["update"], np.maximum(times["product"], 1e-6)))
     milliseconds = 1e3 * float(np.median(times["update"]))
-    print(f"\n  update, {TIMED_LANDMARKS} landmarks: {milliseconds:.1f} ms, {ratio} products")
+    result(
+        f"update of a descent's filter with {TIMED_LANDMARKS} landmarks",
+        f"{milliseconds:.1f} ms",
+        f"{ratio} × a product of its covariance; limits {LIMIT_MS:.0f} ms, {LIMIT_RATIO:.0f} ×",
+    )
     assert within(milliseconds, LIMIT_MS)
     assert within(ratio.median, LIMIT_RATIO)

@@ -8,7 +8,7 @@ from catalog.terrain.skyline.limb import nadir_axes
 from optnav_cli.estimation.models.limb import fit_limb
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation.outline.method import navigate
-from tests.bench.timing import best, one_core, sized, within
+from tests.bench.timing import best, one_core, result, sized, within
 from tests.optnav_cli.conftest import pixel_grid
 from tests.optnav_cli.navigation.horizon.limbs import CAMERA, MOON, attitude, place
 
@@ -38,9 +38,11 @@ def test_the_fit_of_1000_limb_points(radii):
 
     with one_core():
         milliseconds = 1e3 * best(many, 5) / FITS
-    print(
-        f"\n  1000 limb points, covariance   {milliseconds:6.3f} ms   "
-        f"{milliseconds / FIT_MS:5.2f} of the limit, {milliseconds / GIANT_FIT_MS:.4f} of GIANT"
+    shape = "a sphere" if len(set(radii)) == 1 else "an ellipsoid"
+    result(
+        f"the limb of {shape} through 1000 points, with covariance",
+        f"{milliseconds:.3f} ms",
+        f"limit {FIT_MS:g} ms; NASA's GIANT {GIANT_FIT_MS:g} ms",
     )
     assert within(milliseconds, FIT_MS)
 
@@ -60,10 +62,10 @@ def test_a_whole_frame_over_relief():
         milliseconds = 1e3 * best(call, 5)
         found = call()
     error = float(np.linalg.norm(found.position_m - position))
-    print(
-        f"\n  a horizon frame over relief    {milliseconds:6.0f} ms   "
-        f"{milliseconds / FRAME_MS:5.2f} of the limit, {milliseconds / GIANT_FRAME_MS:.2f} of "
-        f"GIANT's sphere at half the size; {error:.0f} m off"
+    result(
+        "a frame of 2048² by the limb over relief",
+        f"{milliseconds:.0f} ms, {error:.0f} m off",
+        f"limit {FRAME_MS:g} ms; NASA's GIANT {GIANT_FRAME_MS:g} ms for a sphere, 1024²",
     )
     assert within(milliseconds, FRAME_MS)
 

@@ -38,7 +38,7 @@ from optnav_cli.runs.inputs import open_field
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.studies.apollo import CUBE, PICTURE
-from tests.bench.timing import FULL, Spread, best, one_core, sized, spread, within
+from tests.bench.timing import FULL, Spread, best, one_core, result, sized, spread, within
 
 pytestmark = pytest.mark.bench
 
@@ -92,10 +92,11 @@ def test_a_frame_on_one_core(scene, matcher):
     picture = load_picture(scene.folder.picture_path(frame), scene.folder.cameras[frame.camera])
     calls = {"frame": lambda: solve_first(scene, matcher), "corners": corners(picture)}
     times = processor_ms(calls, 25)
-    print(
-        f"\n  a frame, {row.n_predicted} control points, {matcher:<4} attitude free, ms "
-        f"{times['frame']}; {times['frame'].median / times['corners'].median:.1f} of Harris's "
-        f"corners in it; limit {FRAME_MS:.0f} ms"
+    result(
+        f"a frame with {row.n_predicted} control points by {matcher}, attitude free",
+        f"{times['frame']} ms",
+        f"{times['frame'].median / times['corners'].median:.1f} × `cv2.cornerHarris` of its "
+        "picture, in turn" + (f"; limit {FRAME_MS:.0f} ms" if matcher == "ncc" else ""),
     )
     assert row.n_predicted >= 15
     if matcher == "ncc":
@@ -183,11 +184,12 @@ def test_a_fisheye_frame_with_nothing_stated(shared_data, tmp_path):
     }
     times = processor_ms(calls, 15)
     whole = times["frame"].median + times["drawn"].median
-    print(
-        f"\n  a fisheye frame, {row.n_used} points, {row.n_limb} of limb, ms: "
-        f"limb alone {times['limb']}, all {times['frame']}, "
-        f"overlay and recording {times['drawn']}; together {whole:.0f}, "
-        f"{whole / times['corners'].median:.1f} of Harris's corners; limit {FISHEYE_MS:.0f}"
+    result(
+        "a fisheye frame with nothing stated: limb alone, all, overlay and recording",
+        f"{times['limb']}, {times['frame']}, {times['drawn']} ms",
+        f"{row.n_used} points, {row.n_limb} of limb; {whole:.0f} ms together, "
+        f"{whole / times['corners'].median:.1f} × `cv2.cornerHarris` of its picture, in turn; "
+        f"limit {FISHEYE_MS:.0f} ms together",
     )
     worker.close()
     assert within(whole, FISHEYE_MS)
@@ -240,10 +242,11 @@ def test_a_control_point_over_all_levels(scene, matcher):
         seconds = best(call, 100)
     searched = [match for match in found if match.score is not None]
     milliseconds = seconds * 1e3
-    print(
-        f"\n  a control point over {len(searched)} levels, {matcher:<4}        "
-        f"{milliseconds:6.1f} ms   {milliseconds / POINT_MS:5.2f} of the limit, "
-        f"{milliseconds / GIANT_POINT_MS:.2f} of GIANT's {GIANT_POINT_MS:.0f} ms"
+    result(
+        f"a control point matched at all {len(searched)} levels by {matcher}",
+        f"{milliseconds:.1f} ms",
+        (f"limit {POINT_MS:.0f} ms; " if matcher == "ncc" else "")
+        + f"NASA's GIANT {GIANT_POINT_MS:.0f} ms",
     )
     if matcher == "ncc":
         assert within(milliseconds, POINT_MS)
@@ -265,8 +268,9 @@ def test_two_workers_against_one(scene, tmp_path):
         navigate_folder(given, tmp_path / f"run-{number}", SilentProgress(), workers=workers)
         seconds.append(time.perf_counter() - started)
     one, two = seconds
-    print(
-        f"\n  {len(names)} frames with priors: one worker {one:.1f} s, two {two:.1f} s, "
-        f"{one / two:.2f} times as fast (wanted {WORKERS_RATIO})"
+    result(
+        f"{len(names)} frames with priors by one worker, by two",
+        f"{one:.1f} s, {two:.1f} s by the clock",
+        f"{one / two:.2f} × as fast; limit {WORKERS_RATIO} ×",
     )
     assert within(WORKERS_RATIO * two, one)

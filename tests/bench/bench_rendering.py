@@ -14,7 +14,7 @@ from catalog.rendering.map_view import render_map
 from catalog.rendering.shadow import lit_mask
 from catalog.terrain.skyline.local import skyline_limits_deg
 from tests.bench import hillshade
-from tests.bench.timing import best, in_turn, sized, spread, within
+from tests.bench.timing import best, in_turn, result, sized, spread, within
 
 pytestmark = pytest.mark.bench
 
@@ -61,11 +61,15 @@ def test_shading_with_shadows_against_gdal_hillshade(tile, tmp_path):
     theirs = np.subtract(times.pop("hillshade"), times.pop("its start"))
     rate = tile.size / 1e6 / np.median(theirs)
     which = "gdaldem" if shutil.which("gdaldem") else "rasterio's GDAL"
-    print(f"\n  hillshade by {which}, no shadows: {rate:.0f} Mpx/s, {ROUNDS} runs in turn")
+    result(f"hillshade by {which}, which casts no shadows", f"{rate:.0f} Mpx/s")
     for name, seconds in times.items():
         ratio = spread(theirs / seconds)
         rate = tile.size / 1e6 / np.median(seconds)
-        print(f"  {name:<20} {rate:7.0f} Mpx/s, {ratio} times as fast")
+        shading = name.replace("_l", "-L").replace("_", " ") + (
+            "" if "shadows" in name else " shading with shadows"
+        )
+        limit = f"; limit {RATIOS[name]} ×" if name in RATIOS else ""
+        result(shading, f"{rate:.0f} Mpx/s", f"{ratio} × that hillshade{limit}")
         assert within(RATIOS.get(name, 0.0), ratio.median)
 
 
@@ -79,9 +83,9 @@ def test_a_reference_patch_with_its_shadows(tile):
             ),
             50,
         )
-        print(f"\n  reference patch 80 x 80, {law:<16} {seconds * 1e3:6.3f} ms", end="")
+        what = f"reference patch of 80 nodes with shadows, {law.replace('_l', '-L')}"
+        result(what, f"{seconds * 1e3:.3f} ms", f"limit {REFERENCE_MS:g} ms")
         assert within(seconds * 1e3, REFERENCE_MS)
-    print()
 
 
 def test_the_skyline_of_a_point(tile):
@@ -93,5 +97,6 @@ def test_the_skyline_of_a_point(tile):
         grid = cv2.resize(grid, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         posting *= 2
     seconds = best(lambda: skyline_limits_deg(levels, 0, MOON_M), 20)
-    print(f"\n  skyline of a point, 36 azimuths   {seconds * 1e3:6.2f} ms")
+    limit = f"limit {SKYLINE_MS:g} ms"
+    result("skyline of a point, 36 azimuths", f"{seconds * 1e3:.2f} ms", limit)
     assert within(seconds * 1e3, SKYLINE_MS)

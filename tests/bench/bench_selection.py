@@ -17,7 +17,7 @@ from catalog.geometry.cells import CellGrid
 from catalog.selection.localisation import hessian_eigenvalue_map
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
-from tests.bench.timing import best, one_core, sized, within
+from tests.bench.timing import best, one_core, result, sized, within
 
 pytestmark = pytest.mark.bench
 
@@ -38,12 +38,14 @@ def test_the_score_against_opencv_s_harris(tile):
     with one_core():
         theirs = best(lambda: cv2.cornerHarris(tile, WINDOW - 1, 3, 0.04), 5)
         small = best(lambda: cv2.cornerHarris(tile, 3, 3, 0.04), 5)
-        print(f"\nlocalisation score, all azimuths, {WINDOW} nodes wide, one core, ms/Mpx")
         for step in (1, 4):
             ours = best(lambda s=step: hessian_eigenvalue_map(tile, POSTING_M, WINDOW, step=s), 5)
-            print(
-                f"  every {step}. node {1e3 * ours * MEGA / tile.size:6.1f}   {ours / theirs:5.2f} "
-                f"of one cv2.cornerHarris of that width, {ours / small:5.2f} of one 3 wide"
+            result(
+                f"localisation score, {WINDOW} nodes wide, all Sun azimuths, "
+                + ("at every node" if step == 1 else f"at every {step}th node"),
+                f"{1e3 * ours * MEGA / tile.size:.1f} ms/Mpx",
+                f"{ours / theirs:.2f} × `cv2.cornerHarris` of that width, {ours / small:.2f} × one "
+                "3 wide",
             )
 
 
@@ -58,11 +60,11 @@ def test_descriptors_a_second(tile):
             seconds = best(lambda: descriptors(part, rows, cols, 8, cells), 5)  # noqa: B023
             rates[name] = (rows.size, seconds)
         match = best(lambda: match_surf(tile[20:84, 20:84], tile[8:96, 8:96]), 20)
-    print("\nSURF, one core")
     for name, (count, seconds) in rates.items():
-        print(f"  {name:30}{count / seconds / MEGA:6.2f} million a second")
+        rate = f"{count / seconds / MEGA:.2f} million a second"
+        result(f"SURF descriptors of {name}", rate, f"limit {DESCRIPTORS / MEGA:g} million")
         assert within(DESCRIPTORS, count / seconds)
-    print(f"  a match of 64 nodes, 12 around   {1e3 * match:6.2f} ms")
+    result("a match of 64 nodes by SURF, 12 around", f"{1e3 * match:.2f} ms")
 
 
 def test_a_cell_through_render_and_check(tmp_path: Path):
@@ -75,6 +77,7 @@ def test_a_cell_through_render_and_check(tmp_path: Path):
         rendering = best(lambda: render.render_chunk(context, cells), 1)
         places = select.select(context, render.render_chunk(context, cells))
         checking = best(lambda: check.check_chunk(context, places), 1)
-    print(f"\na cell of 1 deg at {mosaic.posting_m:.0f} m, one core")
-    print(f"  render {1e3 * rendering / len(cells):7.1f} ms")
-    print(f"  check  {1e3 * checking / len(cells):7.1f} ms")
+    result(
+        f"a cell of 1 deg at {mosaic.posting_m:.0f} m: render, check",
+        f"{1e3 * rendering / len(cells):.1f} ms, {1e3 * checking / len(cells):.1f} ms",
+    )

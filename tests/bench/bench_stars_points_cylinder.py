@@ -23,7 +23,7 @@ from optnav_cli.runs.cylinder_folder import ideal_lens
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
-from tests.bench.timing import in_turn, one_core, sized, spread, within
+from tests.bench.timing import in_turn, one_core, result, sized, spread, within
 from tests.optnav_cli.made_picks import rows_of, scene, write_picked
 from tests.optnav_cli.made_skies import drawn_sky, spots_of
 
@@ -61,7 +61,12 @@ def test_twenty_picked_points_against_opencv(tmp_path):
     with one_core():
         times = in_turn({"cv2": by_opencv, "ours": by_ours}, ROUNDS, time.process_time)
     ratio = spread(np.divide(times["ours"], np.maximum(times["cv2"], 1e-6)))
-    print(f"\n  20 picked points: {milliseconds(times['ours']):.2f} ms, cv2 x {ratio}")
+    result(
+        "a frame of 20 picked points through air, blunders sought, with covariance",
+        f"{milliseconds(times['ours']):.2f} ms",
+        f"{ratio} × `cv2.solvePnP` with one refinement; "
+        f"limits {POINTS_MS:g} ms, {POINTS_RATIO:g} ×",
+    )
     assert within(milliseconds(times["ours"]), POINTS_MS)
     assert within(ratio.median, POINTS_RATIO)
 
@@ -80,7 +85,11 @@ def test_spots_and_identification_of_a_star_picture(side):
     with one_core():
         times = in_turn(calls, ROUNDS, time.process_time)
     ratio = spread(np.divide(times["ours"], np.maximum(times["blur"], 1e-6)))
-    print(f"\n  stars, {size}²: {milliseconds(times['ours']):.0f} ms, blurs of it x {ratio}")
+    result(
+        f"stars of a picture of {size}²: spots and identification",
+        f"{milliseconds(times['ours']):.0f} ms",
+        f"{ratio} × a blur of it; limit {1e3 * STARS_S[side]:.0f} ms",
+    )
     assert within(1e-3 * milliseconds(times["ours"]), STARS_S[side])
 
 
@@ -97,7 +106,11 @@ def test_identification_alone(name, faintest):
             start = time.process_time()
             identifier.attempt(one)
             times.append(time.process_time() - start)
-    print(f"\n  identification, {name}: {milliseconds(times[1:]):.1f} ms in the median")
+    result(
+        f"identification of stars alone, {name}, median of pointings",
+        f"{milliseconds(times[1:]):.1f} ms",
+        f"limit {IDENTIFIED_MS:g} ms",
+    )
     assert within(milliseconds(times[1:]), IDENTIFIED_MS)
 
 
@@ -113,5 +126,9 @@ def test_a_picture_of_a_cylinder():
         start = time.process_time()
         fit_cylinder(measure_profile(picture, 255.0), ideal_lens(camera), size)
         times.append(time.process_time() - start)
-    print(f"\n  a picture of a cylinder: {milliseconds(times[1:] or times):.0f} ms")
+    result(
+        "a picture of a lit cylinder, 640 × 480 px",
+        f"{milliseconds(times[1:] or times):.0f} ms",
+        f"limit {1e3 * CYLINDER_S:.0f} ms",
+    )
     assert within(1e-3 * milliseconds(times[1:] or times), CYLINDER_S)

@@ -10,7 +10,7 @@ from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.estimation.adjustment import adjust
 from optnav_cli.stereo.height import stereo_height
 from optnav_cli.studies.calibration_routes import Route, simulated_route
-from tests.bench.timing import in_turn, sized, spread, within
+from tests.bench.timing import in_turn, result, sized, spread, within
 from tests.optnav_cli.stereo.pairs import DOWN, picture, rig
 
 pytestmark = pytest.mark.bench
@@ -36,7 +36,11 @@ def test_a_stereo_height_against_one_box_filter_of_each_picture() -> None:
     times = in_turn(calls, ROUNDS, time.process_time)
     ratio = spread(np.divide(times["pair"], np.maximum(times["filter"], 1e-6)))
     milliseconds = 1e3 * float(np.median(times["pair"]))
-    print(f"\n  stereo height of a pair: {milliseconds:.1f} ms, {ratio} box filters of the pair")
+    result(
+        "stereo height of a pair",
+        f"{milliseconds:.1f} ms",
+        f"{ratio} × box filters of the pair; limits {PAIR_LIMIT_MS:g} ms, {PAIR_LIMIT_RATIO:g} ×",
+    )
     assert within(milliseconds, PAIR_LIMIT_MS)
     assert within(ratio.median, PAIR_LIMIT_RATIO)
 
@@ -57,6 +61,10 @@ def test_a_calibration_of_100_frames_against_one_dense_least_squares_solution() 
     times = in_turn(calls, sized(3, 1), time.process_time)
     ratio = spread(np.divide(times["calibrate"], np.maximum(times["dense"], 1e-6)))
     seconds = float(np.median(times["calibrate"]))
-    print(f"\n  calibration of {frames} frames: {seconds:.2f} s, {ratio} dense solutions")
+    result(
+        f"calibration of {frames} frames",
+        f"{seconds:.2f} s",
+        f"{ratio} × one dense solution; limits {ROUTE_LIMIT_S:g} s, {ROUTE_LIMIT_RATIO:g} ×",
+    )
     assert within(seconds, ROUTE_LIMIT_S)
     assert within(ratio.median, ROUTE_LIMIT_RATIO)

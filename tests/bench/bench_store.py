@@ -32,7 +32,7 @@ from catalog.store.verify import verify
 from catalog.store.writer import write_catalog
 from catalog.terrain.relief.sums import load_relief
 from tests.bench.global_moon.clock import run
-from tests.bench.timing import best, sized, within
+from tests.bench.timing import best, result, sized, within
 
 pytestmark = pytest.mark.bench
 
@@ -109,8 +109,8 @@ def seconds(call: Callable[[], object]) -> float:
 
 
 def command_seconds(*words: str) -> float:
-    """Processor time of a command with its start, the median of some runs."""
-    command = [sys.executable, "-m", "optnav_cli.main", *words]
+    """Processor time of a command of Python with its start, the median of some runs."""
+    command = [sys.executable, *words]
     return float(
         np.median([run(command, stdout=subprocess.DEVNULL).cpu_s for _ in range(sized(9, 1))])
     )
@@ -141,31 +141,42 @@ def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
             ending: seconds(lambda place=tmp_path / f"layer.{ending}": export(catalog, place))
             for ending in ("gpkg", "geojson", "csv")
         }
-    info_s = command_seconds("catalog", "info", str(path))
+    info_s = command_seconds("-m", "optnav_cli.main", "catalog", "info", str(path))
+    numpy_s = command_seconds("-c", "import numpy")
     verify_s = seconds(lambda: verify(path))
     compare_s = seconds(lambda: compare(path, path))
     packed, larger = packed_bytes(SIZE), packed_bytes(LARGER)
     raw = 4.0 * LEVELS * SIZE * SIZE * written.count
     copy_ms = 1e3 * best(lambda: bytearray(data), 5) / LOADED * LEVELS
     size = written.size_bytes / GIGABYTE
-    print(
-        f"\ncatalog of {written.count} points, {LEVELS} levels of {SIZE} nodes"
-        f"\n  size     {size:8.2f} GB   {size / FILE_GB:5.2f} of the limit, "
-        f"{written.size_bytes / raw:.3f} of its float32 heights, "
-        f"steps of {STEPS_M[0]:.2f} to {STEPS_M[-1]:.2f} m"
-        f"\n  {LARGER} nodes {size * larger / packed:7.2f} GB   by {larger:.0f} bytes of heights a "
-        f"point against {packed:.0f}, the mean of {SITES} real places about Tycho"
-        f"\n  write    {write_s:8.1f} s    {raw / GIGABYTE / write_s:5.2f} GB of heights a second"
-        f"\n  open     {open_ms:8.2f} ms   {open_ms / OPEN_MS:5.2f} of the limit"
-        f"\n  nearest  {near:8.2f} us   {near / NEAREST_US:5.2f} of the limit, "
-        f"{near / by_tree:.2f} of scipy's cKDTree"
-        f"\n  row_of   {cell:8.2f} us   {cell / CELL_US:5.2f} of the limit"
-        f"\n  patches  {load:8.3f} ms   {load / LOAD_MS:5.2f} of the limit, "
-        f"{load / copy_ms:.0f} x a copy of the heights in memory"
-        f"\n  info     {info_s:8.2f} s    {info_s / INFO_S:5.2f} of the limit, the whole command"
-        f"\n  verify   {verify_s:8.1f} s    every patch unpacked"
-        f"\n  compare  {compare_s:8.1f} s    with a catalog of the same content"
-        f"\n  export   " + ", ".join(f"{name} {took:.1f} s" for name, took in layers.items())
+    catalog_of = f"catalog of {written.count} points"
+    result(
+        f"{catalog_of}, {LEVELS} levels, steps of {STEPS_M[0]:.2f} to {STEPS_M[-1]:.2f} m: "
+        f"{SIZE} nodes, {LARGER} nodes",
+        f"{size:.2f} GB, {size * larger / packed:.2f} GB",
+        f"{written.size_bytes / raw:.3f} of its float32 heights; {packed:.0f} and {larger:.0f} "
+        f"bytes a point, the mean of {SITES} real places about Tycho; limit {FILE_GB:g} GB",
+    )
+    result(
+        f"{catalog_of}: written, opened",
+        f"{write_s:.1f} s, {open_ms:.2f} ms",
+        f"{raw / GIGABYTE / write_s:.2f} GB of heights a second; limit {OPEN_MS:g} ms to open",
+    )
+    result(
+        f"{catalog_of}: nearest, row of a point, patches of a point",
+        f"{near:.2f} μs, {cell:.2f} μs, {load:.3f} ms",
+        f"{near / by_tree:.2f} × scipy's cKDTree, {load / copy_ms:.0f} × a copy of the heights; "
+        f"limits {NEAREST_US:g} μs, {CELL_US:g} μs, {LOAD_MS:g} ms",
+    )
+    result(
+        "`optnav catalog info` of it, the whole command",
+        f"{info_s:.2f} s",
+        f"limit {INFO_S:g} s; `python -c 'import numpy'` beside it {numpy_s:.2f} s",
+    )
+    result(
+        f"{catalog_of}: verified, compared, exported to " + ", ".join(layers),
+        f"{verify_s:.1f} s, {compare_s:.1f} s, "
+        + ", ".join(f"{took:.1f} s" for took in layers.values()),
     )
     assert within(size, FILE_GB)
     assert within(open_ms, OPEN_MS)
@@ -191,8 +202,10 @@ def test_speed_and_size_of_a_relief(tmp_path: Path, shared_data: Callable[[str],
         catalog.relief()
         read = time.process_time() - start
     size = (written.size_bytes - plain.size_bytes) / 1e6
-    print(
-        f"\nrelief, {relief.posting_m:.0f} m: {size:.1f} MB, made {made:.2f} s, read {read:.2f} s"
+    result(
+        f"relief of the Moon at {relief.posting_m:.0f} m: in the file, read, averaged from 948 m",
+        f"{size:.1f} MB, {read:.2f} s, {made:.2f} s",
+        f"limits {RELIEF_MB:g} MB, {RELIEF_S:g} s to read",
     )
     assert size <= RELIEF_MB
     assert within(read, RELIEF_S)

@@ -14,7 +14,7 @@ from optnav_cli.studies.zenith_flights import (
     ZenithFlight,
     fit_motion,
 )
-from tests.bench.timing import in_turn, sized, within
+from tests.bench.timing import in_turn, result, sized, within
 
 pytestmark = pytest.mark.bench
 
@@ -29,5 +29,9 @@ def test_a_fit_of_three_revolutions_of_500_sights():
     sights = flight.sights(times, SightErrors(), np.random.default_rng(1))
     calls = {"fit": lambda: fit_zenith(motion, sights, [], [SUNLIGHT], GATE)}
     seconds = float(np.median(in_turn(calls, ROUNDS, time.process_time)["fit"]))
-    print(f"\n  an orbit through {len(sights)} zenith distances, degree 8: {seconds:.2f} s")
+    result(
+        f"an orbit through {len(sights)} zenith distances, degree 8",
+        f"{seconds:.2f} s",
+        f"limit {LIMIT_S:g} s",
+    )
     assert within(seconds, LIMIT_S)

@@ -1,22 +1,37 @@
-"""How long a call takes, for all benches.
+"""How long a call takes, for all benches, and the table of what they found.
 
 `make bench` sets OPTNAV_BENCH=full: full sizes, best of several repeats, and the limits are judged.
 Otherwise, so in the usual run of the tests, each bench runs through once at a small size and no
 speed is judged, so that a bench that no longer runs is noticed.
+
+`make bench STORE=yes` keeps what it found in figures/bench.json, of which the README's table is
+made; a part of the benches (`-k`) replaces its own rows.
 """
 
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import cv2
 import numba
 import numpy as np
 
+from optnav_cli.studies.tables import (
+    Cell,
+    StudyReport,
+    StudyTable,
+    checkout_commit,
+    columns,
+)
+
 FULL = os.environ.get("OPTNAV_BENCH") == "full"
 T = TypeVar("T")
+STORED = Path(__file__).parent / "figures" / "bench.json"
+COLUMNS = columns("what; measured = measured, one core; against; commit")
+FOUND: dict[str, tuple[str, str]] = {}
 
 
 def sized(full: T, small: T) -> T:
@@ -45,6 +60,24 @@ def best(
         call()
         times.append(clock() - start)
     return min(times)
+
+
+def result(what: str, measured: str, against: str = "") -> None:
+    """Print what a bench found, and keep it for the table: of one name, with what it is held to."""
+    FOUND[what] = measured, against
+    print(f"\n  {what}: {measured}{'; ' if against else ''}{against}", end="", flush=True)
+
+
+def store(whole: bool) -> None:
+    """Write what was found into the stored table: instead of it, or of its rows of these names."""
+    commit = checkout_commit() or ""
+    rows: dict[Cell, tuple[Cell, ...]] = {}
+    if not whole and STORED.exists():
+        (table,) = StudyReport.from_json(STORED.read_text(encoding="utf-8")).tables
+        rows = {row[0]: row for row in table.rows}
+    rows |= {what: (what, *found, commit) for what, found in FOUND.items()}
+    table = StudyTable("Speed, one core", COLUMNS, tuple(rows.values()))
+    StudyReport((table,)).signed("bench", {}).write(STORED)
 
 
 class Spread(NamedTuple):
