@@ -32,6 +32,7 @@ Numbers = tuple[float, ...]
 ROTATION_STEP_S = 0.5
 MAX_VARIANCE = 1e30  # m^2, (m/s)^2 or of a parameter
 ROUNDED = 1e-6  # of a term, as files write it
+SAME_TIME_S = 1e-3  # utc and tdb_s of one state
 NO_COVARIANCE = "its covariance can be none of a state; fit the orbit again"
 
 
@@ -157,6 +158,11 @@ def read_orbit(folder: Path) -> StoredOrbit:
         len(state.covariance) != width * (width + 1) // 2
     ):
         raise DataError(f"{folder / ORBIT_TOML}: [state] lacks numbers; fit the orbit again")
+    if not abs(utc_to_tdb_s(state.utc) - state.tdb_s) < SAME_TIME_S:
+        raise DataError(
+            f"{folder / ORBIT_TOML}: [state] has utc {state.utc}, which is tdb_s "
+            f"{utc_to_tdb_s(state.utc):.3f}, and tdb_s {state.tdb_s:.3f}; fit the orbit again"
+        )
     if not _can_be(matrix_of(state.covariance)):
         raise DataError(f"{folder / ORBIT_TOML}: [state] {NO_COVARIANCE}")
     rows = rows_of(ORBIT.read(folder / ORBIT_CSV, _row))

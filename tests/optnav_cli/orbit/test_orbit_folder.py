@@ -214,6 +214,17 @@ def test_a_folder_that_is_no_orbit_or_is_damaged_is_named(place, tmp_path):
         read_orbit(copy)
 
 
+def test_a_state_with_two_times_is_refused(place, tmp_path):
+    """A path from one to the other, of a year, would take minutes."""
+    copy = tmp_path / "orbit"
+    shutil.copytree(place / "orbit", copy)
+    text = (copy / "orbit.toml").read_text()
+    tdb_s = read_orbit(copy).epoch_s
+    (copy / "orbit.toml").write_text(text.replace(f"tdb_s = {tdb_s!r}", f"tdb_s = {tdb_s + 4e7!r}"))
+    with pytest.raises(DataError, match=r"has utc .*, which is tdb_s \d+.* and tdb_s \d+"):
+        read_orbit(copy)
+
+
 @pytest.mark.parametrize("number", ["1e308", "-1e9"])
 def test_a_covariance_beyond_its_variances_is_refused(number, place, tmp_path):
     copy = tmp_path / "orbit"
