@@ -65,9 +65,7 @@ def test_shading_with_shadows_against_gdal_hillshade(tile, tmp_path):
     for name, seconds in times.items():
         ratio = spread(theirs / seconds)
         rate = tile.size / 1e6 / np.median(seconds)
-        shading = name.replace("_l", "-L").replace("_", " ") + (
-            "" if "shadows" in name else " shading with shadows"
-        )
+        shading = name.replace("_", "-") + ("" if "shadows" in name else " shading with shadows")
         limit = f"; limit {RATIOS[name]} ×" if name in RATIOS else ""
         result(shading, f"{rate:.0f} Mpx/s", f"{ratio} × that hillshade{limit}")
         assert within(RATIOS.get(name, 0.0), ratio.median)
@@ -83,7 +81,7 @@ def test_a_reference_patch_with_its_shadows(tile):
             ),
             50,
         )
-        what = f"reference patch of 80 nodes with shadows, {law.replace('_l', '-L')}"
+        what = f"reference patch of 80 nodes with shadows, {law.replace('_', '-')}"
         result(what, f"{seconds * 1e3:.3f} ms", f"limit {REFERENCE_MS:g} ms")
         assert within(seconds * 1e3, REFERENCE_MS)
 
