@@ -223,9 +223,8 @@ def run_trial(
             picture = thinned(picture, level.blur_nodes, even)
             step_m *= thinning(level.blur_nodes)
         if coarsest:
-            halved = template.shape[0] % 2 == picture.shape[0] % 2 == 0
             match, roll, scale = match_similarity(
-                template, picture, search.rolls, search.scales, halved=halved
+                template, picture, search.rolls, search.scales, halved=True
             )
             picture_from_ground = _similarity(roll, scale)
             step = np.array([match.dx, -match.dy])

@@ -122,11 +122,10 @@ def _control_points(figures: Figures) -> list[str]:
             f"wrong matches used (> {WRONG_PX:g} px from the truth): {figures.n_wrong} of "
             f"{figures.n_checked} ({_percent(figures.n_wrong, figures.n_checked, 2)})"
         )
-    elif figures.n_checked is None:
-        why = "the run has no camera files, or the truth's attitude is of another frame"
-        lines.append(f"wrong matches: not checked ({why})")
     else:
         why = "no control point was kept; where windows and landmarks lie is not known to a pixel"
+        if figures.n_checked is None:
+            why = "the run has no camera files, or the truth's attitude is of another frame"
         lines.append(f"wrong matches: not checked ({why})")
     return lines
 

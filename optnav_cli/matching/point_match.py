@@ -227,8 +227,7 @@ def _found(
     if matcher is match_ncc:
         image = filtered(window, MARGIN_NODES)
         if plan.distortion != NO_DISTORTION:
-            halved = template.shape[0] % 2 == window.shape[0] % 2 == 0
-            pair = best_pair(template, image, *turns, MARGIN_NODES, halved)
+            pair = best_pair(template, image, *turns, MARGIN_NODES, halved=True)
             template = turned(template, *pair)
         return template, match_cut(template, window, image, MARGIN_NODES, remainder)
     if plan.distortion == NO_DISTORTION:

@@ -231,8 +231,8 @@ def cover(task: DeliveryTask) -> list[BoxStage]:
     bound = task.settings.burns.bound_sigmas
     stages = [_injected(task, bound)]
     each, total = dv_bounds(task)
-    for correction, more, most in zip(task.corrections, task.later, each, strict=True):
-        stages.append(_corrected(task, stages[-1], (correction, more, most)))
+    for number, most in enumerate(each):
+        stages.append(_corrected(task, stages[-1], number, most))
     stages[-1] = replace(stages[-1], spent=np.minimum(stages[-1].spent, total))
     return stages
 
@@ -303,14 +303,12 @@ def _injected(task: DeliveryTask, bound: float) -> BoxStage:
     return replace(found, corners=corners)
 
 
-def _corrected(
-    task: DeliveryTask, stage: BoxStage, by: tuple[Correction, FloatArray, float]
-) -> BoxStage:
+def _corrected(task: DeliveryTask, stage: BoxStage, number: int, most: float) -> BoxStage:
     """The set that a correction leaves: what its burn does wrong, and the navigation's error.
 
-    by  the correction, what thrust adds after it, and the largest dv it can have
+    most  the largest dv that it can have, m/s
     """
-    correction, unknown, most = by
+    correction, unknown = task.corrections[number], task.later[number]
     burns = task.settings.burns
     bound = burns.bound_sigmas
     inverse = np.linalg.inv(correction.w)

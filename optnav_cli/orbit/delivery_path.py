@@ -7,7 +7,9 @@ target's north pole. The source prints e_xi = e_n x S, which is parallel to e_et
 usual axes T = S x N, R = S x T: xi = B.R, eta = -B.T.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -26,6 +28,7 @@ RELATIVE, PLACE_M, SPEED_M_S = 1e-11, 1e-3, 1e-9
 NODES = 600  # of the splines of the target's place
 AIM_STEPS, AIM_M, AIM_S = 12, 1.0, 0.01
 MIN_SIZE = 1e-14  # of singular values: s a m/s over m a m/s make 1e-7 of it
+Event = Callable[[float, FloatArray], float]
 DIFFERENCE = np.array([1.0, 1.0, 1.0, 1e-4, 1e-4, 1e-4])  # m, m/s: of the aim by a state
 
 
@@ -113,37 +116,43 @@ class TargetMotion:
 
     def fly(self, state: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """States (n, 6) and transitions (n, 6, 6) at rising times (n,) from the first on."""
-        start = np.concatenate([state, np.eye(6).ravel()])
         tolerance = np.concatenate([[PLACE_M] * 3, [SPEED_M_S] * 3, [1e-9] * 36])
-        done = solve_ivp(
-            self.rates,
-            times[[0, -1]],
-            start,
-            "DOP853",
-            times,
-            events=self.over_centre,
-            rtol=RELATIVE,
-            atol=tolerance,
-        )
-        self.check(done.t_events[0] - times[0])
+        span = float(times[0]), float(times[-1])
+        done = self.follow(state, span, (), t_eval=times, rtol=RELATIVE, atol=tolerance)
         if not done.success or not np.isfinite(done.y).all():
             raise NoSolutionError("the path cannot be followed", ReasonCode.NO_SOLUTION)
         return done.y[:6].T.copy(), done.y[6:].T.reshape(-1, 6, 6)
 
-    def over_centre(self, t: float, y: FloatArray) -> float:
-        """How high a state is over the centre's sphere, m; an event that ends a path there."""
-        return float(np.linalg.norm(y[:3]) - self.radius_m)
+    def follow(
+        self, state: FloatArray, span: tuple[float, float], events: Sequence[Event], **options: Any
+    ) -> Any:
+        """What scipy's solve_ivp found of a state (6,) and its transition over a span of TDB s.
 
-    over_centre.terminal = True  # type: ignore[attr-defined]
+        Raises NoSolutionError for a path that begins inside the centre or meets it: through its
+        middle steps would become as small as they can.
+        """
 
-    def check(self, meets_s: FloatArray) -> None:
-        """Raise NoSolutionError for a path that meets the centre so long after its start."""
-        if len(meets_s):
+        def over_centre(t: float, y: FloatArray) -> float:
+            return float(np.linalg.norm(y[:3]) - self.radius_m)
+
+        over_centre.terminal = True  # type: ignore[attr-defined]
+        if over_centre(span[0], state) < 0.0:
             raise NoSolutionError(
-                f"the path meets the {self.centre} {meets_s[0]:.0f} s after the start; state "
-                "another start",
+                f"the start is {np.linalg.norm(state[:3]) / 1e3:.0f} km from the centre of the "
+                f"{self.centre}, inside it; state another start",
                 ReasonCode.NO_SOLUTION,
             )
+        start = np.concatenate([state, np.eye(6).ravel()])
+        done = solve_ivp(
+            self.rates, span, start, "DOP853", events=[*events, over_centre], **options
+        )
+        if len(done.t_events[-1]):
+            raise NoSolutionError(
+                f"the path meets the {self.centre} {done.t_events[-1][0] - span[0]:.0f} s after "
+                "the start; state another start",
+                ReasonCode.NO_SOLUTION,
+            )
+        return done
 
     def arrival(self, state: FloatArray, tdb_s: float) -> BPlane:
         """The arrival of a state (6,) from the centre at a time near the target."""
@@ -252,23 +261,7 @@ def _entry(motion: TargetMotion, state: FloatArray, begin: float, end: float) ->
         return float(np.linalg.norm(away) - motion.sphere_m)
 
     inside.terminal = True  # type: ignore[attr-defined]
-    if motion.over_centre(begin, state) < 0.0:
-        raise NoSolutionError(
-            f"the start is {np.linalg.norm(state[:3]) / 1e3:.0f} km from the centre of the "
-            f"{motion.centre}, inside it; state another start",
-            ReasonCode.NO_SOLUTION,
-        )
-    start = np.concatenate([state, np.eye(6).ravel()])
-    found = solve_ivp(
-        motion.rates,
-        (begin, end),
-        start,
-        "DOP853",
-        events=[motion.over_centre, inside],
-        rtol=1e-9,
-        atol=1.0,
-    )
-    motion.check(found.t_events[0] - begin)
+    found = motion.follow(state, (begin, end), (inside,), rtol=1e-9, atol=1.0)
     if found.status != 1:
         raise NoSolutionError(
             f"the path does not come within {motion.sphere_m / 1e3:.0f} km of "

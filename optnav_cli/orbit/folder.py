@@ -158,10 +158,14 @@ def read_orbit(folder: Path) -> StoredOrbit:
         len(state.covariance) != width * (width + 1) // 2
     ):
         raise DataError(f"{folder / ORBIT_TOML}: [state] lacks numbers; fit the orbit again")
-    if not abs(utc_to_tdb_s(state.utc) - state.tdb_s) < SAME_TIME_S:
+    try:
+        tdb_s = utc_to_tdb_s(state.utc)
+    except DataError as error:
+        raise DataError(f"{folder / ORBIT_TOML}: [state] {error}; fit the orbit again") from None
+    if not abs(tdb_s - state.tdb_s) < SAME_TIME_S:
         raise DataError(
-            f"{folder / ORBIT_TOML}: [state] has utc {state.utc}, which is tdb_s "
-            f"{utc_to_tdb_s(state.utc):.3f}, and tdb_s {state.tdb_s:.3f}; fit the orbit again"
+            f"{folder / ORBIT_TOML}: [state] has utc {state.utc}, which is tdb_s {tdb_s:.3f}, and "
+            f"tdb_s {state.tdb_s:.3f}; fit the orbit again"
         )
     if not _can_be(matrix_of(state.covariance)):
         raise DataError(f"{folder / ORBIT_TOML}: [state] {NO_COVARIANCE}")

@@ -78,7 +78,7 @@ class DigitalSurface:
             at = distance[which]
             there = origins[which] + at[:, None] * rays[which]
             deep = (np.abs(there) / self.radii).max(axis=1) < 1.0 + MIN_HEIGHT
-            there[deep] = self.radii
+            there[deep] = self.radii  # any place with a normal: `deep` decides, not its height
             over, along, met[which] = self._over(there, rays[which])
             under = deep | (over < 0.0)
             above[which] = np.where(under, above[which], at)

@@ -159,6 +159,7 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
             found.notes.append(f"{case.name}: needs the ground and kernels of {SHARED}")
             continue
         pairs: list[list[Errors]] = []
+        catalog = _catalog(case.body, output, progress)
         for number, changes in enumerate(case.flights):
             name = f"{case.name} {number + 1}" if number else case.name
             flown = name.replace(" ", "-").replace(",", "")
@@ -166,9 +167,7 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
             scenario = scenario if frames is None else scenario.shortened(frames)
             pictures, place = output / "pictures" / flown, output / "runs" / flown
             flights.made_pictures(scenario, pictures, progress)
-            pairs.append(
-                _orbit_errors(pictures, _catalog(case.body, output, progress), place, progress)
-            )
+            pairs.append(_orbit_errors(pictures, catalog, place, progress))
             if len(case.flights) > 1:
                 found.each.append(_cells(name, pairs[-1:]))
             if case.shares:

@@ -72,12 +72,14 @@ def store(whole: bool) -> None:
     """Write what was found into the stored table: instead of it, or of its rows of these names."""
     commit = checkout_commit() or ""
     rows: dict[Cell, tuple[Cell, ...]] = {}
+    notes: tuple[str, ...] = ()
     if not whole and STORED.exists():
-        (table,) = StudyReport.from_json(STORED.read_text(encoding="utf-8")).tables
-        rows = {row[0]: row for row in table.rows}
+        before = StudyReport.from_json(STORED.read_text(encoding="utf-8"))
+        rows = {row[0]: row for row in before.tables[0].rows}
+        notes = before.notes
     rows |= {what: (what, *found, commit) for what, found in FOUND.items()}
     table = StudyTable("Speed, one core", COLUMNS, tuple(rows.values()))
-    StudyReport((table,)).signed("bench", {}).write(STORED)
+    StudyReport((table,), notes).signed("bench", {}).write(STORED)
 
 
 class Spread(NamedTuple):

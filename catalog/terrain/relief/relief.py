@@ -6,6 +6,7 @@ terrain model; a catalog may carry one.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +43,11 @@ class GlobalRelief:
     def posting_m(self) -> float:
         """Ground distance of neighbouring rows."""
         return self.step_rad * self.radius_m
+
+    @cached_property
+    def span_m(self) -> float:
+        """From the lowest mean height to the highest."""
+        return float(np.ptp(self.heights))
 
     def heights_at(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
         """Heights (...) m between the cells' means, at latitudes and east longitudes (rad)."""

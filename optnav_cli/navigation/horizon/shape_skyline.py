@@ -177,10 +177,9 @@ class ShapeSkyline:
         )
 
 
-@lru_cache(maxsize=4)
 def is_shape(relief: GlobalRelief) -> bool:
     """Whether a relief is so high that it is the body's shape rather than terrain on a sphere."""
-    return float(np.ptp(relief.heights)) > SHAPE_SHARE * relief.radius_m
+    return relief.span_m > SHAPE_SHARE * relief.radius_m
 
 
 def relief_fraction(body: Body) -> float:

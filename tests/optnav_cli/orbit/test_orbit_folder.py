@@ -223,6 +223,12 @@ def test_a_state_with_two_times_is_refused(place, tmp_path):
     (copy / "orbit.toml").write_text(text.replace(f"tdb_s = {tdb_s!r}", f"tdb_s = {tdb_s + 4e7!r}"))
     with pytest.raises(DataError, match=r"has utc .*, which is tdb_s \d+.* and tdb_s \d+"):
         read_orbit(copy)
+    utc = read_orbit(place / "orbit").file.state.utc
+    (copy / "orbit.toml").write_text(text.replace(utc, "yesterday"))
+    with pytest.raises(
+        DataError, match=r"orbit.toml: \[state\] time 'yesterday' is not understood"
+    ):
+        read_orbit(copy)
 
 
 @pytest.mark.parametrize("number", ["1e308", "-1e9"])
