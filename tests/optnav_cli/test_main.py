@@ -77,6 +77,15 @@ def test_no_heavy_library_is_loaded_before_messages_have_a_place_to_go() -> None
     assert result.stdout.splitlines()[-1] == "[]"
 
 
+def test_a_worker_loads_no_statistics() -> None:
+    """They would take a fourth of the time until its first frame, in each process of a run."""
+    script = "import sys, optnav_cli.runs.frame_worker; print('scipy.stats' in sys.modules)"
+    result = subprocess.run(
+        [sys.executable, "-c", script], cwd=CHECKOUT, capture_output=True, text=True, check=True
+    )
+    assert result.stdout.splitlines()[-1] == "False"
+
+
 def test_help_lists_every_command_with_its_line() -> None:
     lines = [line.split(maxsplit=1) for line in optnav("--help").stdout.splitlines()]
     for name, entry in main.COMMANDS.items():
