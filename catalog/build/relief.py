@@ -6,7 +6,6 @@ below them. A build of a part of the body without such a one carries no relief.
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
@@ -61,10 +60,10 @@ def settle_relief(run: IngestRun, mosaic: Mosaic, dems: list[DemRecord]) -> Reli
     parts: list[object] = [(dem.sha256, dem.folder) for dem in dems]
     if wanted is not None:
         try:
-            named = DemSource.open(wanted, run.folder, mosaic.body)
+            named = DemSource.open(wanted, run.folder, mosaic.body, "[relief] dem")
             check_share(sum(own) + share_within_bounds(named), named.path, mosaic.body)
         except DataError as error:
-            raise _refused(run.config_path, error) from None
+            raise DataError(f"{run.config_path}: [relief] dem: {error}") from None
         digest = content_hash(named.files, workspace, run.progress)
         sources = {f"{named.path.name} (relief)": digest}
         parts += [digest, msgspec.structs.replace(wanted, path="")]
@@ -117,7 +116,7 @@ def _made(
             lay_whole(sums, named, run.progress)
             check_share(sums.coverage, f"with {named.path}", body)
         except DataError as error:
-            raise _refused(run.config_path, error) from None
+            raise DataError(f"{run.config_path}: [relief] dem: {error}") from None
         if sums.coverage > covered:
             names.append(named.path.name)
     elif sums.coverage < MIN_COVERAGE:
@@ -143,12 +142,6 @@ def _layer(pyramid: HeightPyramid, posting_m: float) -> Layer:
     block = pyramid.source.block_shape if own else (BLOCK, BLOCK)
     read = partial(pyramid.read, level)
     return Layer(pyramid.source.place, level, pyramid.shape(level), block, read)
-
-
-def _refused(config_path: Path, error: DataError) -> DataError:
-    """What is wrong with the named model, with a remedy that speaks of its place in the config."""
-    reason = str(error).replace("in its [[dem]] section", "in [relief] dem")
-    return DataError(f"{config_path}: [relief] dem: {reason}")
 
 
 def _name(key: str) -> str:

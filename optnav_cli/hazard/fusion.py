@@ -77,11 +77,8 @@ def read_slopes(path: Path, body: Body) -> PriorSlopes:
                 f"{path}: has {rows} x {cols} pixels; wanted up to {MAX_PIXELS}: cut it with "
                 "gdal_translate -projwin"
             )
-        try:
-            place = place_of(path, None, "east", body, dataset)
-        except DataError as error:
-            cause, _, _ = str(error).partition("; set `crs`")
-            raise DataError(f"{cause}; give it one with gdal_edit.py -a_srs") from None
+        remedy = "give it one with gdal_edit.py -a_srs"
+        place = place_of(path, None, "east", body, dataset, remedy)
         degrees = dataset.read(1, masked=True).astype(np.float32).filled(np.nan)
     known = degrees[np.isfinite(degrees)]
     if not known.size:

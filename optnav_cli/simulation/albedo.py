@@ -117,12 +117,10 @@ class AlbedoMap:
 
 
 def _placed(path: Path, body: Body, dataset: Any) -> Any:
+    remedy = "state its edges: extent_deg = [west, south, east, north] in albedo_map of [truth]"
     if dataset.crs is None or dataset.transform.is_identity:
-        raise DataError(
-            f"{path}: says neither its coordinate system nor its edges; state them: "
-            "extent_deg = [west, south, east, north] in albedo_map of [truth]"
-        )
-    return place_of(path, None, "east", body, dataset)
+        raise DataError(f"{path}: says neither its coordinate system nor its edges; {remedy}")
+    return place_of(path, None, "east", body, dataset, remedy)
 
 
 def _extent(path: Path, edges: tuple[float, float, float, float]) -> tuple[float, ...]:

@@ -82,8 +82,11 @@ def label_of(path: Path) -> Path:
     return path
 
 
-def file_units(path: Path, dataset: Any) -> Units:
-    """Units that the band states, metres when it states none. Raises DataError for foreign ones."""
+def file_units(path: Path, dataset: Any, section: str) -> Units:
+    """Units that the band states, metres when it states none. Raises DataError for foreign ones.
+
+    section  where other ones could be set
+    """
     stated = (dataset.units[0] or "").strip()
     if not stated:
         return "m"
@@ -92,7 +95,7 @@ def file_units(path: Path, dataset: Any) -> Units:
             return units
     raise DataError(
         f"{path}: its values are in '{stated}'; wanted one of {', '.join(STATED_UNITS)}: convert "
-        "it, or set `units` in its [[dem]] section if the file is wrong"
+        f"it, or set `units` in {section} if the file is wrong"
     )
 
 
@@ -108,10 +111,12 @@ def crs_of(text: str) -> Any:
 
 
 def place_of(
-    path: Path, crs_override: str | None, longitude: str, body: Body, dataset: Any
+    path: Path, crs_override: str | None, longitude: str, body: Body, dataset: Any, remedy: str
 ) -> Georeference:
-    """The raster's georeference. Raises DataError for no CRS, another body or no geotransform."""
-    remedy = 'set `crs` in its [[dem]] section, for example crs = "IAU_2015:30100"'
+    """The raster's georeference. Raises DataError for no CRS, another body or no geotransform.
+
+    remedy  for a file without a CRS, or with one that cannot be used
+    """
     try:
         crs = crs_of(crs_override) if crs_override is not None else dataset.crs
     except (RasterioError, ValueError) as error:

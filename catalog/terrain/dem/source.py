@@ -74,7 +74,10 @@ class DemSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass
 class DemSource:
-    """An opened terrain model. Not safe across threads: each opens its own (`reopen`)."""
+    """An opened terrain model. Not safe across threads: each opens its own (`reopen`).
+
+    section  where its settings stand, for errors
+    """
 
     path: Path
     settings: DemSettings
@@ -85,20 +88,30 @@ class DemSource:
     units: str
     dtype: str
     block_shape: tuple[int, int]
+    section: str
     _dataset: Any = None
 
     @classmethod
-    def open(cls, settings: DemSettings, base_dir: Path, body: Body) -> "DemSource":
+    def open(
+        cls,
+        settings: DemSettings,
+        base_dir: Path,
+        body: Body,
+        section: str = "its [[dem]] section",
+        remedy: str | None = None,
+    ) -> "DemSource":
         """Open a file and settle its grid and units from its header and a few probes.
 
+        section  where the settings stand, for errors
+        remedy   for a file that is not there; by default its path is to be checked there too
         Raises DataError for a file that is missing, unreadable, without a usable CRS, of another
         body, or with values that cannot be heights; the whole file is read later, when averaged.
         """
         path = label_of(path_of(settings.path, base_dir))
-        dataset = open_raster(path, TERRAIN, "check `path` in its [[dem]] section")
+        dataset = open_raster(path, TERRAIN, remedy or f"check `path` in {section}")
         try:
             with reading_raster(path):
-                return cls._read_header(path, settings, body, dataset)
+                return cls._read_header(path, settings, body, dataset, section)
         except BaseException:
             dataset.close()
             raise
@@ -106,15 +119,12 @@ class DemSource:
     @classmethod
     def open_alone(cls, path: Path, body: Body) -> "DemSource":
         """Open a file that a command line names: no section could state more of it; see `open`."""
-        try:
-            return cls.open(DemSettings(str(path)), Path.cwd(), body)
-        except DataError as error:
-            said = str(error).replace("`path` in its [[dem]] section", "the path")
-            raise DataError(said.replace("in its [[dem]] section", "in the file itself")) from None
+        settings = DemSettings(str(path))
+        return cls.open(settings, Path.cwd(), body, "the file itself", "check the path")
 
     @classmethod
     def _read_header(
-        cls, path: Path, settings: DemSettings, body: Body, dataset: Any
+        cls, path: Path, settings: DemSettings, body: Body, dataset: Any, section: str
     ) -> "DemSource":
         if dataset.count < 1 or min(dataset.shape) < 4:
             raise DataError(f"{path}: {dataset.shape[0]} x {dataset.shape[1]} pixels; not a DEM")
@@ -123,15 +133,16 @@ class DemSource:
             raise DataError(f"{path}: is a colour picture, not a DEM; name a raster of heights")
         if np.dtype(dtype).kind not in "iuf":
             raise DataError(f"{path}: pixels are {dtype}; wanted whole or real numbers")
-        place = place_of(path, settings.crs, settings.longitude, body, dataset)
-        units = settings.units or file_units(path, dataset)
+        remedy = f'set `crs` in {section}, for example crs = "IAU_2015:30100"'
+        place = place_of(path, settings.crs, settings.longitude, body, dataset, remedy)
+        units = settings.units or file_units(path, dataset, section)
         factor = METRES[units]
         scale = settings.scale if settings.scale is not None else float(dataset.scales[0])
         offset = settings.offset if settings.offset is not None else float(dataset.offsets[0])
         if scale == 0.0 or not np.isfinite([scale * factor, offset * factor]).all():
             raise DataError(
-                f"{path}: scale is {scale:g}, offset {offset:g}; set `scale` and `offset` in its "
-                "[[dem]] section"
+                f"{path}: scale is {scale:g}, offset {offset:g}; set `scale` and `offset` in "
+                f"{section}"
             )
         nodata = settings.nodata if settings.nodata is not None else dataset.nodata
         lowest = ISIS_LOWEST_VALID.get(dtype, -np.inf) if dataset.driver == "ISIS3" else -np.inf
@@ -139,7 +150,7 @@ class DemSource:
         convert = Conversion(scale * factor, offset * factor, missing, lowest)
         block = tuple(dataset.block_shapes[0])
         source = cls(
-            path, settings, body, place, convert, "height", units, dtype, block, _dataset=dataset
+            path, settings, body, place, convert, "height", units, dtype, block, section, dataset
         )
         source._settle_radius(source._probe(), offset_given=offset * factor)
         return source
@@ -302,7 +313,7 @@ class DemSource:
             raise DataError(
                 f"{self.path}: heights run from {lowest:.6g} to {highest:.6g} m: too flat for "
                 f"{extent * self.body.radius_m / 1e3:.0f} km of ground; are these km? "
-                'set units = "km" in its [[dem]] section (or "m" if they are metres)'
+                f'set units = "km" in {self.section} (or "m" if they are metres)'
             )
 
     def check_range(self, lowest: float, highest: float) -> None:
@@ -312,11 +323,11 @@ class DemSource:
         limits = f"on {self.body.name} they lie between {lo:.6g} and {hi:.6g} m"
         if lowest < lo or highest > hi:
             radius = self.body.radius_m
-            remedy = "check `units`, `scale`, `offset` and `nodata` of its [[dem]] section"
+            remedy = f"check `units`, `scale`, `offset` and `nodata` in {self.section}"
             other: Literal["m", "km"] = "m" if self.units == "km" else "km"
             ratio = METRES[other] / METRES[self.units]
             if lo <= lowest * ratio and highest * ratio <= hi:
-                remedy = f'are these {other}? set units = "{other}" in its [[dem]] section'
+                remedy = f'are these {other}? set units = "{other}" in {self.section}'
             if lo <= lowest - radius and highest - radius <= hi:
-                remedy = 'these are radii: set heights = "radius" in its [[dem]] section'
+                remedy = f'these are radii: set heights = "radius" in {self.section}'
             raise DataError(f"{found}; {limits}; {remedy}")

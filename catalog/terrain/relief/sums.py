@@ -195,19 +195,15 @@ def load_relief(path: str, body: Body, stated: StatedError | None = None) -> Glo
     stated  of the model's error
     Read once a process. Raises DataError.
     """
+    # a file by itself has no section in which more could be stated
+    section = "[relief] dem of a build config, whose catalog carries the relief"
+    source = DemSource.open(DemSettings(path=path), Path(), body, section, "check the path")
     try:
-        source = DemSource.open(DemSettings(path=path), Path(), body)
-        try:
-            relief = relief_from_dem(source)
-            error = TerrainErrorModel.of(stated or StatedError(), relief.posting_m)
-            return relief if error is None else replace(relief, error_m=error.error_m)
-        finally:
-            source.close()
-    except DataError as error:
-        # a file by itself has no section in which more could be stated
-        reason = str(error).replace("check `path` in its [[dem]] section", "check the path")
-        section = "[relief] dem of a build config, whose catalog carries the relief"
-        raise DataError(reason.replace("its [[dem]] section", section)) from None
+        relief = relief_from_dem(source)
+        error = TerrainErrorModel.of(stated or StatedError(), relief.posting_m)
+        return relief if error is None else replace(relief, error_m=error.error_m)
+    finally:
+        source.close()
 
 
 def _edges(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:

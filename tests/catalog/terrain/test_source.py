@@ -8,7 +8,7 @@ import rasterio
 from rasterio.transform import Affine
 
 from catalog.config import resource
-from catalog.errors import ConfigError
+from catalog.errors import ConfigError, DataError
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.source import DemSettings, DemSource
 
@@ -240,3 +240,14 @@ def test_isis_saturation_is_no_data(moon):
 def test_a_name_with_a_nul_is_no_path(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="is no path of a file"):
         path_of("nul\0", tmp_path)
+
+
+def test_heights_beyond_the_body_name_the_place_of_the_settings(tmp_path, dems, moon):
+    """A file that a command line names has no [[dem]] section to mend."""
+    path = dems.write(tmp_path / "far.tif", np.full((8, 16), 3e7, np.float32))
+    for source, place in (
+        (DemSource.open_alone(path, moon), "in the file itself"),
+        (source_of(path, moon), r"in its \[\[dem\]\] section"),
+    ):
+        with pytest.raises(DataError, match=place):
+            source.check_range(3e7, 3e7)
