@@ -8,6 +8,7 @@ Source: D. Padfield, "Masked object registration in the Fourier domain", IEEE Tr
 21 (2012). A frame that shows a part of a template's ground is compared in that part.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import cv2
@@ -29,6 +30,10 @@ Number = TypeVar("Number", np.float32, np.float64, np.bool_)
 
 # Standard deviation of the Gaussian that is subtracted, nodes.
 HIGH_PASS_NODES = 5.0
+# Of that Gaussian from its middle on, as OpenCV cuts it.
+_TAPS: Float32Array = np.array(
+    cv2.getGaussianKernel(41, HIGH_PASS_NODES, cv2.CV_32F)[20:, 0], np.float32
+)
 # Contrast below this share of the brightness is rounding, not relief.
 MIN_CONTRAST = 1e-5
 # Sigma of the blur, share of the model's posting. At Phobos, with relief of 20 m rms below its
@@ -71,6 +76,110 @@ def high_pass_finite(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -
     return grid - _blurred(grid, sigma_nodes)
 
 
+def quick_high_passed(
+    grids: Sequence[Float32Array], valid: BoolArray, margin_nodes: int = 0
+) -> Float32Array:
+    """`high_passed` of k grids (rows, cols), then without their outer margin, in half the time.
+
+    Returns (k, rows - 2 margin, cols - 2 margin), right to the rounding. Not in its place:
+    catalogs' trials go by that, and their digests by its last bits.
+    """
+    stack = np.ascontiguousarray(grids[0])[None] if len(grids) == 1 else np.stack(grids)
+    return _quick_high_passed(stack, valid, _TAPS, margin_nodes)
+
+
+@kernel
+def _quick_high_passed(
+    grids: Float32Array, valid: BoolArray, taps: Float32Array, margin: int
+) -> Float32Array:
+    count, rows, cols = grids.shape
+    inner = rows - 2 * margin, cols - 2 * margin
+    passed, weight = np.empty((count, *inner), np.float32), np.empty(inner, np.float32)
+    filled, line = np.empty((rows, cols), np.float32), np.empty(cols + 2 * taps.size, np.float32)
+    one, zero, least = np.float32(1.0), np.float32(0.0), np.float32(1e-3)
+    holes = False
+    for r in range(rows):
+        for c in range(cols):
+            filled[r, c] = one if valid[r, c] else zero
+            holes |= not valid[r, c]
+    if holes:
+        _fill_blurred(filled, taps, margin, line, weight)
+    for k in range(count):
+        for r in range(rows):
+            for c in range(cols):
+                filled[r, c] = grids[k, r, c] if valid[r, c] else zero
+        _fill_blurred(filled, taps, margin, line, passed[k])
+        for r in range(inner[0]):
+            for c in range(inner[1]):
+                here, mean = filled[margin + r, margin + c], passed[k, r, c]
+                if holes:
+                    mean /= max(weight[r, c], least)
+                    here, mean = (here, mean) if valid[margin + r, margin + c] else (zero, zero)
+                passed[k, r, c] = here - mean
+    return passed
+
+
+@bare_kernel
+def _fill_blurred(
+    grid: Float32Array, taps: Float32Array, margin: int, line: Float32Array, out: Float32Array
+) -> None:
+    """Fill a blurred grid (rows, cols) without its margin; beyond a border it is mirrored.
+
+    taps  (m + 1,) from the middle on, m a multiple of four;  line (cols + 2 m or more,) to work in
+    """
+    (rows, cols), reach = grid.shape, taps.size - 1
+    across = line[reach : reach + cols]
+    for row in range(margin, rows - margin):
+        here, at, into = grid[row], reach + margin, out[row - margin]
+        for c in range(cols):
+            across[c] = taps[0] * here[c]
+        for j in range(1, reach, 4):
+            i, k = row - j, row + j
+            before = (
+                grid[_mirrored(i, rows)], grid[_mirrored(i - 1, rows)],
+                grid[_mirrored(i - 2, rows)], grid[_mirrored(i - 3, rows)],
+            )  # fmt: skip
+            behind = (
+                grid[_mirrored(k, rows)], grid[_mirrored(k + 1, rows)],
+                grid[_mirrored(k + 2, rows)], grid[_mirrored(k + 3, rows)],
+            )  # fmt: skip
+            _add_pairs(across, taps[j:], before, behind)
+        for j in range(1, reach + 1):
+            line[reach - j] = across[_mirrored(-j, cols)]
+            line[reach + cols - 1 + j] = across[_mirrored(cols - 1 + j, cols)]
+        for c in range(into.size):
+            into[c] = taps[0] * line[at + c]
+        for j in range(1, reach, 4):
+            i, k = at - j, at + j
+            before = line[i:], line[i - 1 :], line[i - 2 :], line[i - 3 :]
+            behind = line[k:], line[k + 1 :], line[k + 2 :], line[k + 3 :]
+            _add_pairs(into, taps[j:], before, behind)
+
+
+@bare_kernel
+def _add_pairs(
+    sums: Float32Array,
+    taps: Float32Array,
+    before: tuple[Float32Array, Float32Array, Float32Array, Float32Array],
+    behind: tuple[Float32Array, Float32Array, Float32Array, Float32Array],
+) -> None:
+    """Add to sums (n,) four pairs of lines, each by a tap."""
+    t, u, v, w = taps[0], taps[1], taps[2], taps[3]
+    (a, d, f, h), (b, e, g, k) = before, behind
+    for c in range(sums.size):
+        sums[c] += t * (a[c] + b[c]) + u * (d[c] + e[c]) + (v * (f[c] + g[c]) + w * (h[c] + k[c]))
+
+
+@bare_kernel
+def _mirrored(place: int, size: int) -> int:
+    """Place in a line of nodes that one beyond its ends stands for."""
+    if size == 1:
+        return 0
+    while not 0 <= place < size:
+        place = -place if place < 0 else 2 * (size - 1) - place
+    return place
+
+
 def _weight(valid: BoolArray, sigma_nodes: float) -> Float32Array:
     """Gaussian-weighted share of the valid nodes about each node, but for a thousandth."""
     return np.maximum(_blurred(valid.astype(np.float32), sigma_nodes), np.float32(1e-3))
@@ -99,6 +208,12 @@ def filtered(grid: Float32Array, margin_nodes: int = 0) -> Filtered:
     """
     floor = MIN_CONTRAST * _greatest_size(grid)
     return Filtered(cropped(high_pass(grid), margin_nodes), floor)
+
+
+def quick_filtered(grid: Float32Array, margin_nodes: int = 0) -> Filtered:
+    """`filtered` by `quick_high_passed`."""
+    floor = MIN_CONTRAST * _greatest_size(grid)
+    return Filtered(quick_high_passed((grid,), np.isfinite(grid), margin_nodes)[0], floor)
 
 
 @kernel
@@ -322,10 +437,9 @@ def match_masked(
     reference = np.where(np.isfinite(cropped(search, room)), reference, np.float32(np.nan))
     both = reference, search
     has, shows = (np.isfinite(cropped(grid, margin_nodes)).astype(np.float32) for grid in both)
-    template = filtered(reference, margin_nodes)
-    surface, common = _surface(template, has, image or filtered(search, margin_nodes), shows)
-    row, col = np.unravel_index(int(np.argmax(surface)), surface.shape)
-    return locate_peak(surface, int(common[row, col]))
+    template = quick_filtered(reference, margin_nodes)
+    surface, common = _surface(template, has, image or quick_filtered(search, margin_nodes), shows)
+    return locate_peak(surface, round(float(common.flat[surface.argmax()])))
 
 
 def _surface(
@@ -333,12 +447,24 @@ def _surface(
 ) -> tuple[Float32Array, FloatArray]:
     """Scores at every place where the template fits, -1 with too few nodes; and common nodes."""
     part, whole = template.values, image.values
-    common = _sums(shows, has)
+    places, side = whole.shape[0] - part.shape[0] + 1, cv2.getOptimalDFTSize(whole.shape[0])
+    images = [_waves(grid, side) for grid in (shows, whole, whole * whole)]
+    parts = [_waves(grid, side) for grid in (has, part, part * part)]
+
+    def sums(i: int, k: int) -> FloatArray:
+        """Of products of an image and a template at every place where the latter fits."""
+        both = cv2.mulSpectrums(images[i], parts[k], 0, conjB=True)
+        flags = cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT
+        # rows beyond those wanted are left out of the transform
+        made = cv2.dft(both, flags=flags, nonzeroRows=places)
+        return made[:places, :places].astype(np.float64)
+
+    common = sums(0, 0)
     n = np.maximum(common, 1.0)
-    of_part, of_whole = _sums(shows, part), _sums(whole, has)
-    product = _sums(whole, part) - of_part * of_whole / n
-    part_square = _sums(shows, part * part) - of_part**2 / n
-    whole_square = _sums(whole * whole, has) - of_whole**2 / n
+    of_part, of_whole = sums(0, 1), sums(1, 0)
+    product = sums(1, 1) - of_part * of_whole / n
+    part_square = sums(0, 2) - of_part**2 / n
+    whole_square = sums(2, 0) - of_whole**2 / n
     enough = common >= max(MIN_COMMON_SHARE * common.max(), 1.0)
     # a side without contrast has no correlation: rounding noise would decide
     enough &= (part_square > n * template.floor**2) & (whole_square > n * image.floor**2)
@@ -347,9 +473,11 @@ def _surface(
     return np.clip(surface, -1.0, 1.0).astype(np.float32), common
 
 
-def _sums(image: Float32Array, template: Float32Array) -> FloatArray:
-    """Sums of products at every place where the template fits."""
-    return cv2.matchTemplate(image, template, cv2.TM_CCORR).astype(np.float64)
+def _waves(grid: Float32Array, side: int) -> Float32Array:
+    """Transform of a square grid with zeros behind it to a side."""
+    padded = np.zeros((side, side), np.float32)
+    padded[: grid.shape[0], : grid.shape[1]] = grid
+    return np.asarray(cv2.dft(padded, nonzeroRows=grid.shape[0]))
 
 
 def match_cut(
@@ -364,12 +492,17 @@ def match_cut(
     image      of the search grid, `filtered`
     remainder  whether the covariance is that of `with_remainder_covariance`
     """
-    soft, has = high_pass(reference), np.isfinite(reference)
-    template = Filtered(cropped(soft, margin_nodes), MIN_CONTRAST * _greatest_size(reference))
+    has, shows = np.isfinite(reference), np.isfinite(search)
     known = cropped(has, margin_nodes)
-    match = locate_peak(_scores(template, image), int(np.count_nonzero(known)))
-    shows = np.isfinite(search)
-    if not shows.all() and (known & ~laid_at(shows, known, match)).any():
+    # what the reference covers wherever it is laid
+    covered = margin_nodes + search.shape[0] - reference.shape[0]
+    cut = known.all() and not cropped(shows, covered).all()
+    if not cut:
+        soft = quick_high_passed((reference,), has)[0]
+        template = Filtered(cropped(soft, margin_nodes), MIN_CONTRAST * _greatest_size(reference))
+        match = locate_peak(_scores(template, image), int(np.count_nonzero(known)))
+        cut = not shows.all() and (known & ~laid_at(shows, known, match)).any()
+    if cut:
         # zeros for what the grid lacks would pull the reference inward
         match = match_masked(reference, search, margin_nodes, image)
     elif remainder and np.isfinite(match.covariance).all():
@@ -391,7 +524,7 @@ def with_remainder_covariance(
         return match
     seen = laid_at(search, reference, match)
     both = np.isfinite(reference) & np.isfinite(seen)
-    template, patch = high_passed((reference, seen), both)
+    template, patch = quick_high_passed((reference, seen), both)
     return _by_remainder(match, template, cropped(patch, margin_nodes), both, margin_nodes)
 
 

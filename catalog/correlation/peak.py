@@ -180,11 +180,8 @@ class WeightedFit(NamedTuple):
             right[k] += weight * (mean * self.first[1] - self.first[pattern])
             normal[k, k] += weight
             scatter[k, k] += weight
-        inverse = _inverse_of_normal(normal)
-        if inverse is None:
-            return None
-        strengths: FloatArray = self.first[1:] + inverse @ right
-        return (strengths, inverse @ scatter @ inverse) if strengths[0] > 0.0 else None
+        known, strengths, covariance = _steps(self.first, normal, right, scatter)
+        return (strengths, covariance) if known else None
 
     def remainder(self, priors: Sequence[Prior] = ()) -> Remainder:
         """The place that the strengths give."""
@@ -218,51 +215,132 @@ def refined_by_remainder(patterns: Float32Array, patch: Float32Array, nodes: int
 
 def weighted_fit(patterns: Float32Array, patch: Float32Array, nodes: int) -> WeightedFit | None:
     """The fit of `refined_by_remainder`; None where the patch does not show the template."""
-    grids = np.concatenate([patterns, patch[None]])
-    first = _strengths(grids)
-    if first is None or not first[1] > 0.0:
+    patterns, patch = np.ascontiguousarray(patterns), np.ascontiguousarray(patch)
+    first, grids = _first_fit(patterns, patch)
+    if not first[1] > 0.0:
         return None
-    grids[-1] = rest_of(patterns, grids[-1], first)
     # zeros about the grids keep opposite borders apart as far as errors are correlated
     side = cv2.getOptimalDFTSize(patch.shape[0] + CORRELATED_NODES)
-    waves = scipy.fft.rfft2(grids[1:], s=(side, side))
-    power = np.square(waves[-1].real) + np.square(waves[-1].imag)
+    waves = scipy.fft.rfft2(grids, s=(side, side)).view(np.float32)
+    power = _power(waves[-1])
     spectrum, mean = _smoothed(power)
     # a perfect match leaves nothing
     floor = SPECTRUM_FLOOR * mean / nodes + 1e-30
-    normal, right, scatter = _weighted_sums(
-        waves.view(np.float32), power, spectrum / np.float32(nodes), floor
-    )
-    scatter /= nodes
-    return WeightedFit(first, normal, right, scatter)
+    return WeightedFit(first, *_weighted_sums(waves, power, spectrum, floor, nodes))
 
 
 def plain_fit(patterns: Float32Array, patch: Float32Array) -> FloatArray | None:
     """How strong patterns (k, n, n) are in a patch (n, n), (k,); None where one is nowhere."""
-    return _strengths(np.concatenate([patterns, patch[None]]))
+    strengths = _strengths(np.ascontiguousarray(patterns), np.ascontiguousarray(patch))
+    return strengths if np.isfinite(strengths).all() else None
 
 
-def _strengths(grids: Float32Array) -> FloatArray | None:
-    """`plain_fit` of patterns with the patch behind them (k + 1, n, n)."""
-    sums = _products(grids)
-    normal = sums[:-1, :-1]
-    if not normal.diagonal().min() > 1e-30:
-        return None
-    loaded = normal + np.diag(LOAD * normal.diagonal())
-    return np.linalg.solve(loaded, sums[:-1, -1]).astype(np.float64)
+@kernel
+def _first_fit(patterns: Float32Array, patch: Float32Array) -> tuple[FloatArray, Float32Array]:
+    """Strengths (k,) as of `_strengths`; the patterns but for the first, and what those leave."""
+    strengths, grids = _strengths(patterns, patch), np.empty_like(patterns)
+    grids[:-1] = patterns[1:]
+    grids[-1] = rest_of(patterns, patch, strengths)
+    return strengths, grids
 
 
-def _inverse_of_normal(normal: FloatArray) -> FloatArray | None:
-    """Inverse (n, n) of normal equations in units of their own; None where unknowns stay open."""
-    size = np.sqrt(np.diag(normal))
-    if not size.min() > 1e-12 * size.max():
-        return None
-    units = np.outer(size, size)
-    scaled = normal / units
-    if not np.linalg.det(scaled) > 1e-9:
-        return None
-    inverse: FloatArray = np.linalg.inv(scaled) / units
-    return inverse
+@kernel
+def _strengths(patterns: Float32Array, patch: Float32Array) -> FloatArray:
+    """Strengths (k,) of `plain_fit`; NaN where a pattern is nowhere."""
+    count, (rows, cols) = len(patterns), patch.shape
+    normal, right = np.empty((count, count)), np.empty(count)
+    # a sum a column, so that products are not added one after the other
+    columns = np.empty(cols)
+    for a in range(count):
+        for b in range(a, count + 1):
+            other = patterns[b] if b < count else patch
+            columns[:] = 0.0
+            for r in range(rows):
+                for c in range(cols):
+                    columns[c] += float(patterns[a, r, c]) * float(other[r, c])
+            if b < count:
+                normal[a, b] = normal[b, a] = columns.sum()
+            else:
+                right[a] = columns.sum()
+    strengths, least = np.zeros(count), np.inf
+    for a in range(count):
+        least = min(least, normal[a, a])
+    inverse = np.empty((count, count))
+    if not (least > 1e-30 and _invert(normal, LOAD, inverse) > 0.0):
+        strengths[:] = np.nan
+        return strengths
+    for a in range(count):
+        for b in range(count):
+            strengths[a] += inverse[a, b] * right[b]
+    return strengths
+
+
+@bare_kernel
+def _invert(normal: FloatArray, load: float, inverse: FloatArray) -> float:
+    """Fill the inverse (n, n) of normal equations, solved in units of their own.
+
+    load  added to the diagonal, which is 1 in these units
+    Returns the determinant in these units, 0 where there is no inverse.
+    """
+    count = len(normal)
+    for i in range(count):
+        for j in range(count):
+            inverse[i, j] = normal[i, j] / np.sqrt(normal[i, i] * normal[j, j])
+        inverse[i, i] += load
+    determinant = 1.0
+    for k in range(count):  # Gauss and Jordan; what is positive definite needs no pivots
+        pivot = inverse[k, k]
+        if not pivot > 0.0:
+            return 0.0
+        determinant *= pivot
+        inverse[k, k] = 1.0
+        for j in range(count):
+            inverse[k, j] /= pivot
+        for i in range(count):
+            if i != k:
+                factor = inverse[i, k]
+                inverse[i, k] = 0.0
+                for j in range(count):
+                    inverse[i, j] -= factor * inverse[k, j]
+    for i in range(count):
+        for j in range(count):
+            inverse[i, j] /= np.sqrt(normal[i, i] * normal[j, j])
+    return determinant
+
+
+@kernel
+def _steps(
+    first: FloatArray, normal: FloatArray, right: FloatArray, scatter: FloatArray
+) -> tuple[bool, FloatArray, FloatArray]:
+    """Strengths and covariance of `WeightedFit.solved`, and whether they are known."""
+    count = right.size
+    strengths, covariance = first[1:].copy(), np.zeros((count, count))
+    inverse = np.empty((count, count))
+    least = most = normal[0, 0]
+    for i in range(1, count):
+        least, most = min(least, normal[i, i]), max(most, normal[i, i])
+    # in roots, which the sizes of the unknowns go by
+    if not least > 1e-24 * most or not _invert(normal, 0.0, inverse) > 1e-9:
+        return False, strengths, covariance
+    for i in range(count):
+        for j in range(count):
+            strengths[i] += inverse[i, j] * right[j]
+            for k in range(count):
+                for m in range(count):
+                    covariance[i, m] += inverse[i, j] * scatter[j, k] * inverse[k, m]
+    return strengths[0] > 0.0, strengths, covariance
+
+
+@kernel
+def _power(waves: Float32Array) -> Float32Array:
+    """Squares (n, m) of waves (n, 2 m), real and imaginary in turn."""
+    rows, cols = waves.shape[0], waves.shape[1] // 2
+    power = np.empty((rows, cols), np.float32)
+    for i in range(rows):
+        for j in range(cols):
+            real, imaginary = waves[i, 2 * j], waves[i, 2 * j + 1]
+            power[i, j] = real * real + imaginary * imaginary
+    return power
 
 
 def _smoothed(power: Float32Array) -> tuple[Float32Array, float]:
@@ -303,23 +381,6 @@ def _lag_waves(side: int) -> Float32Array:
 
 
 @kernel
-def _products(grids: Float32Array) -> FloatArray:
-    """Sums (k, k) over all nodes of the products of grids (k, n, m)."""
-    count, rows, cols = grids.shape
-    sums = np.zeros((count, count))
-    # a sum a column, so that products are not added one after the other
-    columns = np.empty(cols)
-    for a in range(count):
-        for b in range(a, count):
-            columns[:] = 0.0
-            for r in range(rows):
-                for c in range(cols):
-                    columns[c] += float(grids[a, r, c]) * float(grids[b, r, c])
-            sums[a, b] = sums[b, a] = columns.sum()
-    return sums
-
-
-@kernel
 def rest_of(patterns: Float32Array, patch: Float32Array, strengths: FloatArray) -> Float32Array:
     """What patterns (k, n, m) of some strengths (k,) leave over of a patch (n, m)."""
     count, rows, cols = patterns.shape
@@ -334,13 +395,14 @@ def rest_of(patterns: Float32Array, patch: Float32Array, strengths: FloatArray) 
 
 @kernel
 def _weighted_sums(
-    waves: Float32Array, power: Float32Array, spectrum: Float32Array, floor: float
+    waves: Float32Array, power: Float32Array, spectrum: Float32Array, floor: float, nodes: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Normal equations (k, k), (k,) of a rest by patterns, weighted by a spectrum.
 
     waves (k + 1, n, 2 m)   transforms of the patterns and the rest, real and imaginary in turn
-    power, spectrum (n, m)  of the rest, as it is and smooth; floor is added to the latter
-    Returns also the covariance (k, k) of the right side, for one node compared.
+    power, spectrum (n, m)  of the rest, as it is and smooth; for one of the nodes compared a floor
+                            is added to the latter
+    Returns also the covariance (k, k) of the right side.
     """
     count, side, cols = waves.shape[0] - 1, spectrum.shape[0], spectrum.shape[1]
     damped, share = np.empty(side), np.empty((2, cols))
@@ -351,7 +413,7 @@ def _weighted_sums(
     sums = np.zeros((count, count + 1, 2, cols))  # a sum a column
     for i in range(side):
         for j in range(cols):
-            weight = damped[i] * damped[j] / (spectrum[i, j] + floor)
+            weight = damped[i] * damped[j] / (spectrum[i, j] / nodes + floor)
             # the columns stand for those of the other half of the plane too
             twice = 1.0 if j == 0 or 2 * j == side else 2.0
             share[0, j], share[1, j] = twice * weight, twice * weight * weight * power[i, j]
@@ -370,7 +432,7 @@ def _weighted_sums(
         right[a] = sums[a, count, 0].sum() * scale
         for b in range(a, count):
             normal[a, b] = normal[b, a] = sums[a, b, 0].sum() * scale
-            scatter[a, b] = scatter[b, a] = sums[a, b, 1].sum() * scale
+            scatter[a, b] = scatter[b, a] = sums[a, b, 1].sum() * (scale / nodes)
     return normal, right, scatter
 
 
@@ -383,8 +445,7 @@ def laid_patterns(
     By polynomials through six nodes a side: slopes of neighbours' differences would be too small
     for short waves, which move a place by too much.
     """
-    away = np.rint(match.dx) - match.dx, np.rint(match.dy) - match.dy
-    along, down = (_six_nodes(by) for by in away)
+    along, down = (_six_nodes(np.rint(by) - by) for by in (match.dx, match.dy))
     shape = tuple(side - 2 * margin_nodes for side in template.shape)
     if margin_nodes < REACH:
         padded = [np.pad(grid, REACH, mode="reflect") for grid in (template, *others)]
@@ -435,12 +496,18 @@ def _lay(
                 to[c] = u * a[c] + v * b[c] + x * d[c] + (y * e[c] + z * f[c] + o * g[c])
 
 
+@kernel
 def _six_nodes(shift: float) -> tuple[int, Float32Array]:
     """Which node, from one on, is the first of six, and their weights for value and slope (2, 6).
 
     shift  where value and slope are wanted, nodes from that one; less than two
     """
     whole = int(np.floor(shift))
-    powers = (shift - whole) ** np.arange(6.0)
-    slope = (np.arange(1.0, 6.0) * powers[:5]) @ _THROUGH_SIX[1:]
-    return whole - 2, np.stack([powers @ _THROUGH_SIX, slope]).astype(np.float32)
+    weights = np.empty((2, 6), np.float32)
+    for node in range(6):
+        value = slope = 0.0
+        for power in range(5, -1, -1):  # by Horner's rule, the slope beside the value
+            slope = slope * (shift - whole) + value
+            value = value * (shift - whole) + _THROUGH_SIX[power, node]
+        weights[0, node], weights[1, node] = value, slope
+    return whole - 2, weights

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.config import Positive, load_toml, resource
-from catalog.correlation.ncc import cropped, high_passed, laid_at, stepped
+from catalog.correlation.ncc import cropped, laid_at, quick_high_passed, stepped
 from catalog.correlation.peak import (
     Match,
     Prior,
@@ -152,7 +152,7 @@ def relief_match(
         return None
     grids = (reference, *patterns, laid_at(search, reference, match))
     known = np.isfinite(np.stack(grids)).all(axis=0)
-    template, *others, patch = high_passed(grids, known)
+    template, *others, patch = quick_high_passed(grids, known)
     compared = cropped(known, margin_nodes)
     laid = laid_patterns(match, template, margin_nodes, others) * compared
     return ReliefMatch(match, laid, cropped(patch, margin_nodes) * compared, compared)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
-from catalog.correlation.ncc import cropped, filtered, match_cut
+from catalog.correlation.ncc import cropped, match_cut, quick_filtered
 from catalog.geometry.projection import node_grid
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
@@ -134,7 +134,7 @@ def match_patch(
     window = picture.sample(pixels, patch.posting_m / gsd)
     if not np.isfinite(window).all():
         return LandmarkMatch(OUTSIDE)
-    image = filtered(window, MARGIN_NODES)
+    image = quick_filtered(window, MARGIN_NODES)
     match = match_cut(patch.brightness, window, image, MARGIN_NODES, remainder=True)
     if not np.isfinite(match.covariance).all():
         reason = Reason(ReasonCode.SEARCH_BORDER, "peak at the border of the search")

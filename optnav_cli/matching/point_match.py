@@ -9,10 +9,10 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.correlation.ncc import (
     cropped,
-    filtered,
     low_pass,
     match_cut,
     match_ncc,
+    quick_filtered,
     thinned,
     thinning,
     with_remainder_covariance,
@@ -225,7 +225,7 @@ def _found(
     turns = plan.distortion.rolls, plan.distortion.scales
     remainder = not (plan.blur_nodes or plan.interim)
     if matcher is match_ncc:
-        image = filtered(window, MARGIN_NODES)
+        image = quick_filtered(window, MARGIN_NODES)
         if plan.distortion != NO_DISTORTION:
             pair = best_pair(template, image, *turns, MARGIN_NODES, halved=True)
             template = turned(template, *pair)

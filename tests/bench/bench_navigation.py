@@ -136,9 +136,11 @@ dem = {path = "bundled:moon_gld100_4ppd.tif"}
 
 
 @pytest.mark.skipif(not FULL, reason="minutes of simulation: make bench alone")
-def test_a_fisheye_frame_with_nothing_stated(shared_data, tmp_path):
+def test_a_fisheye_frame_with_nothing_stated(shared_data, monkeypatch, tmp_path):
     """From the picture to limb and control points, 100 km over the Moon, the Earth in view."""
-    shared_data("moon/moon_gld100_32ppd.tif")
+    # the fixture looks beside the project too, which the configuration does not
+    ground = shared_data("moon/moon_gld100_32ppd.tif")
+    monkeypatch.setenv("OPTNAV_SHARED_DATA", str(ground.parents[1]))
     scenario, config = tmp_path / "scenario.toml", tmp_path / "catalog.toml"
     text = resource("configs/scenarios/transfer.toml").read_text().partition("[spice]")[0]
     for long, short in SHORTER.items():

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from catalog.correlation.ncc import blur_nodes, low_pass, thinned, thinning
+from catalog.correlation.ncc import (
+    blur_nodes,
+    cropped,
+    high_passed,
+    low_pass,
+    quick_high_passed,
+    thinned,
+    thinning,
+)
 
 
 def test_only_grids_finer_than_the_model_are_blurred_and_the_finer_the_more() -> None:
@@ -43,3 +51,17 @@ def test_thinned_nodes_lie_about_the_same_centre(side: int) -> None:
 def test_a_blur_below_a_node_keeps_all_nodes() -> None:
     grid = np.random.default_rng(3).standard_normal((40, 40)).astype(np.float32)
     assert thinned(grid, 0.7, True) == pytest.approx(low_pass(grid, 0.7))
+
+
+@pytest.mark.parametrize("side", [1, 9, 57, 96, 102])
+@pytest.mark.parametrize("holes", [False, True])
+def test_the_quick_high_pass_is_the_other_to_the_rounding(side: int, holes: bool) -> None:
+    rng = np.random.default_rng(side)
+    grids = tuple((100.0 + rng.normal(size=(2, side, side))).astype(np.float32))
+    valid = np.ones((side, side), bool)
+    if holes:
+        valid[side // 3 :, : side // 2] = False
+    for margin in (0, 8) if side > 16 else (0,):
+        quick = quick_high_passed(grids, valid, margin)
+        for one, other in zip(quick, high_passed(grids, valid), strict=True):
+            assert one == pytest.approx(cropped(other, margin), abs=1e-4)  # 1e-6 of the grids
