@@ -2,7 +2,9 @@
 
 Source: Tuchin, thesis (2010), chapter 2, (7): least squares with the expected state as a prior. The
 model of the surface is wrong alike over kilometres; its error is considered in the weights, with
-the correlation of neighbouring points of the ground. A range over relief has many minima: weights
+the correlation of neighbouring points of the ground. Weights take a part of that error as each
+ray's own, without which fits do not settle; the covariance is what those weights leave of errors of
+the model's vertices, between which its faces average. A range over relief has many minima: weights
 that fall with the residual open the way in the first two steps, a fit that the residuals refute
 starts again beside, and so does one that does not settle: wrong minima hold most of those. Beams
 that met the ground say more than their lengths: a state under which they pass beside the body is
@@ -13,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from catalog.arrays import FloatArray
+from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
 from optnav_cli.orbit.landing_rays import DigitalSurface, GroundHits
@@ -33,8 +35,8 @@ CHI_SIGMAS = 5.0
 MAX_MISSED = 0.05
 RESTARTS, LONG_STARTS = 20, 4
 MIN_RANGES = 6
-# Of the variance of heights that neighbours do not share: with less, fits settle on wrong states;
-# found on the grounds of seed 1 of the study landing, whose figures are of seed 5.
+# Of the variance of heights that weights take as not shared by neighbours: with less, fits settle
+# on wrong states; found on the grounds of seed 1 of the study landing, whose figures are of seed 5.
 ROUGH = 0.1
 NEAR_M = 4000.0  # from a target; twice as far off the model is as wrong as anywhere
 
@@ -61,12 +63,11 @@ class SurfaceError:
         return found
 
     def covariance(self, points: FloatArray, others: FloatArray) -> FloatArray:
-        """(n, m) of what neighbours share of the heights' errors at points (n, 3), (m, 3)."""
+        """(n, m) of the heights' errors at points (n, 3) and (m, 3)."""
         squares = np.einsum("ij,ij->i", points, points)[:, None]
         apart = squares + np.einsum("ij,ij->i", others, others) - 2.0 * points @ others.T
         sizes = np.outer(self.sigma(points), self.sigma(others))
-        shared = (1.0 - ROUGH) * np.exp(-np.sqrt(np.maximum(apart, 0.0)) / self.length_m)
-        found: FloatArray = sizes * shared
+        found: FloatArray = sizes * np.exp(-np.sqrt(np.maximum(apart, 0.0)) / self.length_m)
         return found
 
 
@@ -94,10 +95,12 @@ class RangeFix:
     missed share of the beams of which the state has it wrong whether they meet the ground
     steps  of the start that fitted;  starts  how many it took
     settled  whether its last step was short
+    weighted (6, 6) what the covariance would be, were the weights the inverse of the errors'
     """
 
     state: FloatArray
     covariance: FloatArray
+    weighted: FloatArray
     chi: float
     ranges: int
     missed: float
@@ -132,6 +135,7 @@ class _Linearised:
     """Ranges about a state: residuals (m,), by the state (m, 6), points of the ground (m, 3).
 
     shorter  (m,) by how much a range is shorter where the ground is 1 m higher
+    faces    (m,) of the model's mesh that the points lie on
     missed   share of the beams of which the state has it wrong whether they meet the ground
     """
 
@@ -139,6 +143,7 @@ class _Linearised:
     jacobian: FloatArray
     points: FloatArray
     shorter: FloatArray
+    faces: IntArray
     missed: float
 
 
@@ -194,12 +199,20 @@ class RangeNavigator:
         parts = self._linearised(ranges, fix.state)
         if parts is None:
             return GroundEstimate(np.zeros(len(places)), before, np.zeros((6, len(places))))
-        cross = -self._error.covariance(places, parts.points) * parts.shorter
-        gains = _solved(self._covariance(ranges, parts), cross.T).T
+        corners, shares = self._corners(parts)
+        by_corners = self._error.covariance(places, corners.reshape(-1, 3))
+        by_corners = by_corners.reshape(len(places), -1, 3)
+        cross = -np.einsum("naj,aj->na", by_corners, shares) * parts.shorter
+        weighing = self._weighing(ranges, parts)
+        gains = _solved(weighing, cross.T).T
+        by_ranges = fix.weighted @ _solved(weighing, parts.jacobian).T  # the state's error
         # the state is estimated from the same ranges: its error is in their residuals
         by_state = -gains @ parts.jacobian
-        with_state = fix.covariance @ by_state.T
-        covariance = before - gains @ cross.T + by_state @ with_state
+        errors = self._errors(ranges, parts)
+        with_state = by_ranges @ (errors @ gains.T - cross.T) + fix.covariance @ by_state.T
+        found = (gains @ errors - 2.0 * cross) @ gains.T + before
+        found += by_state @ (2.0 * with_state - fix.covariance @ by_state.T)
+        covariance = 0.5 * (found + found.T)
         return GroundEstimate(gains @ parts.residuals, covariance, with_state)
 
     def _from(
@@ -223,13 +236,12 @@ class RangeNavigator:
                 weights = 1.0 / (1.0 + (parts.residuals / WIDE_M[step]) ** 2) / 100.0**2
                 weighted = weights[:, None] * jacobian
             else:
-                weighted = _solved(self._covariance(ranges, parts), jacobian)
+                weighted = _solved(self._weighing(ranges, parts), jacobian)
             normal = jacobian.T @ weighted + information
             gradient = weighted.T @ parts.residuals + information @ (expected - state)
             change = np.linalg.solve(normal, gradient)
             # at the edges of a mesh's faces the slope jumps: half steps end the turning to and fro
             state = state + (0.5 if step > wide + FULL_STEPS else 1.0) * change
-            covariance = np.linalg.inv(normal).astype(np.float64)
             settled = bool(step >= wide and change @ normal @ change < 6.0 * SETTLED**2)
             if settled:
                 break
@@ -237,11 +249,18 @@ class RangeNavigator:
         if parts is None:
             return None
         residuals, count = parts.residuals, len(parts.residuals)
-        square = residuals @ _solved(self._covariance(ranges, parts), residuals)
+        weighing, jacobian = self._weighing(ranges, parts), parts.jacobian
+        both = _solved(weighing, np.column_stack([jacobian, residuals]))
+        square = residuals @ both[:, 6]
+        weighted = np.linalg.inv(jacobian.T @ both[:, :6] + information).astype(np.float64)
+        gains = weighted @ both[:, :6].T
+        covariance = gains @ self._errors(ranges, parts) @ gains.T
+        covariance += weighted @ information @ weighted
         off = state - expected
         square += off @ information @ off
         chi, steps = float(np.sqrt(square / count)), step + 1 - wide
-        return RangeFix(state, covariance, chi, count, parts.missed, steps, number, settled)
+        missed = parts.missed
+        return RangeFix(state, covariance, weighted, chi, count, missed, steps, number, settled)
 
     def _linearised(self, ranges: BeamRanges, state: FloatArray) -> _Linearised | None:
         """Of the ranges over ground that is not flat to the beam; None where too few are."""
@@ -267,15 +286,31 @@ class RangeNavigator:
         missed, points = float(wrong.sum() / met.sum()), hits.points[good]
         up = points / np.linalg.norm(points, axis=1)[:, None]
         shorter = np.einsum("ni,ni->n", gradient, up)
-        return _Linearised(residuals[good], jacobian, points, shorter, missed)
+        return _Linearised(residuals[good], jacobian, points, shorter, hits.faces[good], missed)
 
-    def _covariance(self, ranges: BeamRanges, parts: _Linearised) -> FloatArray:
-        """(m, m) of the ranges: noise, and the surface's error along them."""
+    def _weighing(self, ranges: BeamRanges, parts: _Linearised) -> FloatArray:
+        """(m, m) whose inverse are the weights: noise, and the surface's error along the ranges."""
         points, shorter = parts.points, parts.shorter
-        found = self._error.covariance(points, points) * np.outer(shorter, shorter)
+        found = (1.0 - ROUGH) * self._error.covariance(points, points) * np.outer(shorter, shorter)
         found[np.diag_indices(len(points))] += ROUGH * (self._error.sigma(points) * shorter) ** 2
         found[np.diag_indices(len(points))] += ranges.noise_m**2
         return found
+
+    def _errors(self, ranges: BeamRanges, parts: _Linearised) -> FloatArray:
+        """(m, m) covariance of the ranges: noise, and what the model's vertices are wrong by."""
+        corners, shares = self._corners(parts)
+        count, flat = len(corners), corners.reshape(-1, 3)
+        moved = shares * parts.shorter[:, None]
+        every = self._error.covariance(flat, flat).reshape(count, 3, count, 3)
+        found: FloatArray = np.einsum("ai,aibj,bj->ab", moved, every, moved, optimize=True)
+        found[np.diag_indices(count)] += ranges.noise_m**2
+        return found
+
+    def _corners(self, parts: _Linearised) -> tuple[FloatArray, FloatArray]:
+        """(m, 3, 3) of the faces that ranges end on, and (m, 3) what each says of the point."""
+        corners = self._ground.mesh.corners[parts.faces]
+        shares = np.linalg.solve(corners.transpose(0, 2, 1), parts.points[..., None])[..., 0]
+        return corners, shares
 
 
 def beams_about(
