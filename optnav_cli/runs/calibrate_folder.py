@@ -272,8 +272,9 @@ def _check_stated(folder: Folder, kinds: Sequence[Common]) -> None:
     turned = [frame for frame in placed if frame.camera_from_body is not None]
     if len(turned) < MIN_FRAMES:
         raise DataError(
-            f"{where}: no rows have an attitude; a calibration measures the mounting against "
-            "known attitudes: fill in qw, qx, qy, qz and attitude_sigma_arcsec"
+            f"{where}: {len(turned)} of {len(folder.frames)} rows have an attitude with their "
+            f"position, and {MIN_FRAMES} or more are wanted; a calibration measures the camera "
+            "against known attitudes: fill in qw, qx, qy, qz and attitude_sigma_arcsec"
         )
     known = sum(frame.own_attitude_sigma_rad is not None for frame in turned)
     if Common.MOUNTING in kinds and known < MIN_FRAMES:
