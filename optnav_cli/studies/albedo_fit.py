@@ -5,6 +5,9 @@ brightness, less its mean about each node, is fitted by steepness and crests of 
 mean of each strength over all squares, and its rms about that, are the numbers of
 configs/models/albedo.toml. Squares where the scenarios of `optnav study navigation` fly under this
 map only score.
+
+Beside both stands how brightness goes with rises toward east and north. Albedo knows no direction
+but a map of it may hold some shading, or corrections that were too strong: both show there.
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,6 +54,11 @@ SCORED: dict[str, Box] = {
     "real_mare_400km": (20.5, 6.5, 31.5, 17.5),
     "real_farside_400km": (134.0, -26.0, 152.0, -12.0),
 }
+# Where the map's own shading is strong, and no scenario flies.
+SHOWN: dict[str, Box] = {
+    "far side, 55 N": (150.0, 50.0, 170.0, 60.0),
+    "far side, 55 S": (150.0, -60.0, 170.0, -50.0),
+}
 POSTINGS_DEG = 1.0 / 32.0  # of the terrain model
 SIDE = 80  # nodes of a square, as of a template
 BEGINNING = b"# How the Moon's albedo follows"
@@ -58,21 +66,29 @@ BEGINNING = b"# How the Moon's albedo follows"
 
 @dataclass(frozen=True, eq=False)
 class BoxStrengths:
-    """Strengths (n, 2) of steepness and crests in a box's squares, and shares (n,) they explain."""
+    """How albedo goes with relief in the squares of a box.
+
+    strengths  (n, 2) of steepness and crests, and explained (n,) the shares that they explain
+    rises      (n, 2) logarithm of brightness a unit of slope, rising toward east and north, fitted
+               beside both; shaded (n,) the share that these explain more
+    """
 
     name: str
     strengths: FloatArray
     explained: FloatArray
+    rises: FloatArray
+    shaded: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class AlbedoFitResult:
-    """Numbers before and after, and the boxes that they were fitted with and that only score."""
+    """Numbers before and after; the boxes fitted with, those that score, those shown alone."""
 
     old: ReliefAlbedo
     new: Mapping[str, float]
     fit: Sequence[BoxStrengths]
     held: Sequence[BoxStrengths]
+    shown: Sequence[BoxStrengths] = ()
 
 
 def run(progress: Progress, rows: str, output: Path | None) -> AlbedoFitResult:
@@ -92,10 +108,11 @@ def run(progress: Progress, rows: str, output: Path | None) -> AlbedoFitResult:
         raise NothingToDoError(f"{MAPPED} names no albedo_map")
     albedo = AlbedoMap(settings, body)
     source = DemSource.open(DemSettings(path=flights.GLOBE), Path.cwd(), body)
-    held = SCORED if not rows else {}
+    held, shown = (SCORED, SHOWN) if not rows else ({}, {})
     found = {}
-    with progress.stage("squares", len(chosen) + len(held), "box") as bar:
-        for name, box in (chosen | held).items():
+    every = chosen | held | shown
+    with progress.stage("squares", len(every), "box") as bar:
+        for name, box in every.items():
             found[name] = of_box(name, box, source, albedo, body)
             bar.advance()
     source.close()
@@ -105,7 +122,8 @@ def run(progress: Progress, rows: str, output: Path | None) -> AlbedoFitResult:
     if output is not None:
         text = likelihood.with_numbers(toml_text(resource(FILE)), numbers(old), new)
         write_output(output, text.encode(), starts_with(BEGINNING))
-    return AlbedoFitResult(old, new, fit, [found[name] for name in held])
+    rest = ([found[name] for name in names] for names in (held, shown))
+    return AlbedoFitResult(old, new, fit, *rest)
 
 
 def of_box(name: str, box: Box, source: DemSource, albedo: AlbedoMap, body: Body) -> BoxStrengths:
@@ -128,21 +146,32 @@ def squares(
 
     postings_m  from row to row and from column to column
     """
-    patterns = steepness_and_crests(heights, postings_m)
-    grids = (*patterns, np.log(brightness))
-    steep, crests, logs = (high_pass(grid.astype(np.float32)) for grid in grids)
+    down, east = (np.asarray(g) for g in np.gradient(heights, *postings_m))
+    patterns = (*steepness_and_crests(heights, postings_m), east, -down)
+    *relief, logs = (high_pass(g.astype(np.float32)) for g in (*patterns, np.log(brightness)))
     found, explained = [], []
+    rises, shaded = [], []
     rows, cols = heights.shape
     for row in range(0, rows - SIDE + 1, SIDE):
         for col in range(0, cols - SIDE + 1, SIDE):
             part = slice(row, row + SIDE), slice(col, col + SIDE)
-            both = np.stack([steep[part].ravel(), crests[part].ravel()], axis=1)
+            laid = np.stack([grid[part].ravel() for grid in relief], axis=1).astype(np.float64)
             values = logs[part].ravel().astype(np.float64)
-            strengths = np.linalg.lstsq(both.astype(np.float64), values)[0]
-            rest = values - both @ strengths
+            strengths, share = _fit(laid[:, :2], values)
+            all_four, with_rises = _fit(laid, values)
             found.append(strengths)
-            explained.append(1.0 - float(rest @ rest) / max(float(values @ values), 1e-30))
-    return BoxStrengths(name, np.array(found).reshape(-1, 2), np.array(explained))
+            explained.append(share)
+            rises.append(all_four[2:])
+            shaded.append(with_rises - share)
+    pairs = (np.array(some).reshape(-1, 2) for some in (found, rises))
+    return BoxStrengths(name, next(pairs), np.array(explained), next(pairs), np.array(shaded))
+
+
+def _fit(patterns: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
+    """Strengths (k,) of patterns (n, k) in values (n,), and the share of these they explain."""
+    strengths = np.asarray(np.linalg.lstsq(patterns, values)[0], np.float64)
+    rest = values - patterns @ strengths
+    return strengths, 1.0 - float(rest @ rest) / max(float(values @ values), 1e-30)
 
 
 def fitted(boxes: Sequence[BoxStrengths]) -> dict[str, float]:
@@ -168,7 +197,8 @@ def numbers(strengths: ReliefAlbedo) -> dict[str, float]:
 NUMBERS = columns("number; old .2g; new .2g")
 SCORES = columns(
     "ground; squares; used; steepness .2f; steepness_rms = rms .2f; crests .2f; "
-    "crests_rms = rms .2f; explained = explained [%] .0f; sigmas = mean off [σ] .1f"
+    "crests_rms = rms .2f; explained = explained [%] .0f; sigmas = mean off [σ] .1f; "
+    "east = rising east .2f; north = rising north .2f; shaded = explained more [%] .1f"
 )
 
 
@@ -177,7 +207,8 @@ def report(result: AlbedoFitResult) -> StudyReport:
     old = numbers(result.old)
     sizes = tuple((name, old[name], value) for name, value in result.new.items())
     scores: list[tuple[Cell, ...]] = []
-    for used, boxes in (("fitted with", result.fit), ("other ground", result.held)):
+    uses = ("fitted with", "other ground", "shown alone")
+    for used, boxes in zip(uses, (result.fit, result.held, result.shown), strict=True):
         for box in boxes:
             mean, rms = box.strengths.mean(axis=0), box.strengths.std(axis=0)
             shown = (float(mean[0]), float(rms[0]), float(mean[1]), float(rms[1]))
@@ -185,11 +216,13 @@ def report(result: AlbedoFitResult) -> StudyReport:
                 abs(mean[k] - result.new[f"{name}.mean"]) / result.new[f"{name}.sigma"]
                 for k, name in enumerate(("steepness", "crests"))
             )
-            share = 100.0 * float(np.median(box.explained))
-            scores.append((box.name, len(box.strengths), used, *shown, share, float(off)))
+            share, more = (100.0 * float(np.median(s)) for s in (box.explained, box.shaded))
+            east, north = map(float, box.rises.mean(axis=0))
+            row = (box.name, len(box.strengths), used, *shown, share, float(off), east, north, more)
+            scores.append(row)
     tables = (StudyTable("Numbers", NUMBERS, sizes), StudyTable("Grounds", SCORES, tuple(scores)))
     note = (
         f"squares of {SIDE} nodes of 948 m; logarithm of brightness a unit of slope, and a unit of "
-        "slope change from node to node"
+        "slope change from node to node; of rises toward east and north beside both"
     )
     return StudyReport(tables, (note,))

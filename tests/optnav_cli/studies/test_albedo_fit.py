@@ -16,12 +16,16 @@ from optnav_cli.studies.albedo_fit import AlbedoFitResult, fitted, numbers, squa
 POSTINGS_M = 948.0, 900.0
 
 
-def ground(seed: int, steepness: float, crests: float) -> albedo_fit.BoxStrengths:
-    """Squares of hills whose brightness goes with them."""
+def ground(
+    seed: int, steepness: float, crests: float, rises: tuple[float, float] = (0.0, 0.0)
+) -> albedo_fit.BoxStrengths:
+    """Squares of hills whose brightness goes with them, and with rises toward east and north."""
     rng = np.random.default_rng(seed)
     hills = 2e4 * ndimage.gaussian_filter(rng.normal(size=(200, 250)), 3.0)
     steep, crest = steepness_and_crests(hills, POSTINGS_M)
-    logs = steepness * steep + crests * crest + 0.02 * rng.normal(size=hills.shape)
+    down, east = np.gradient(hills, *POSTINGS_M)
+    logs = steepness * steep + crests * crest + rises[0] * east - rises[1] * down
+    logs += 0.02 * rng.normal(size=hills.shape)
     return squares("hills", hills, np.exp(logs), POSTINGS_M)
 
 
@@ -35,12 +39,21 @@ def test_strengths_that_albedo_was_drawn_by_are_found() -> None:
     assert found["crests.sigma"] == pytest.approx(0.1, abs=0.02)
 
 
+def test_shading_that_a_map_holds_is_found_beside_albedo_that_follows_relief() -> None:
+    plain, shaded = ground(5, 0.6, -0.2), ground(5, 0.6, -0.2, (0.2, -0.4))
+    assert plain.rises.mean(axis=0) == pytest.approx([0.0, 0.0], abs=0.02)
+    assert shaded.rises.mean(axis=0) == pytest.approx([0.2, -0.4], abs=0.02)
+    assert np.median(plain.shaded) < 0.01 < 0.1 < np.median(shaded.shaded)
+    # it knows a direction, and so takes nothing from what does not
+    assert fitted([shaded])["steepness.mean"] == pytest.approx(0.6, abs=0.1)
+
+
 def test_the_report_tells_grounds_that_were_not_fitted_with() -> None:
     one = ground(1, 0.6, -0.2)
-    result = AlbedoFitResult(shipped_strengths(), fitted([one]), [one], [one])
+    result = AlbedoFitResult(shipped_strengths(), fitted([one]), [one], [one], [one])
     tables = fit.report(result).tables
     assert [row[0] for row in tables[0].rows] == list(numbers(shipped_strengths()))
-    assert [row[2] for row in tables[1].rows] == ["fitted with", "other ground"]
+    assert [row[2] for row in tables[1].rows] == ["fitted with", "other ground", "shown alone"]
 
 
 def test_new_strengths_are_written_over_the_old_ones() -> None:
