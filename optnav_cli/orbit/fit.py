@@ -8,12 +8,13 @@ chi-square of a fix against all others.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import chdtri
 
 from catalog.arrays import BoolArray, FloatArray
-from catalog.bodies.epochs import utc_from_tdb_s
+from catalog.bodies.epochs import DAY_S, utc_from_tdb_s
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.smoother import LinearArc, SmoothedArc, nuisance, smooth
 from optnav_cli.orbit.first import first_orbit
@@ -34,6 +35,8 @@ UNOBSERVED = 0.9  # of the prior's sigma
 AXES_OF = {"vertical": "NB"}  # of parameters of which one axis may be open and another not
 MIN_FIXES = 3
 MAX_BETWEEN = 100_000
+# A field and its noise say nothing of a place after so long, and minutes would go into the way.
+MAX_GAP_S = 30.0 * DAY_S
 RUNAWAY_M = 1e12  # of a step: no orbit about a body is so wide
 
 
@@ -146,6 +149,7 @@ def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float)
             f"too few fixes: {len(problem.fixes)} leave the orbit open; wanted {MIN_FIXES} or "
             "more, or a [[prior]]"
         )
+    _check_gaps(problem)
     solver = OrbitSolver(problem, model)
     at, weights = _start(problem, solver)
     at, found = solver.settle(at, np.ones(len(weights)))
@@ -177,6 +181,20 @@ def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float)
         solver.steps,
         [*remarks, *unobserved_remarks(problem, covariances[-1, 6:width, 6:width])],
     )
+
+
+def _check_gaps(problem: OrbitProblem) -> None:
+    """Raise NoSolutionError for a fix or a prior far from the others in time."""
+    named = [(fix.tdb_s, fix.file) for fix in problem.fixes]
+    named += [(prior.tdb_s, "the prior") for prior in problem.priors]
+    named.sort()
+    for (before_s, before), (after_s, after) in pairwise(named):
+        if after_s - before_s > MAX_GAP_S:
+            raise NoSolutionError(
+                f"{after} is of {utc_from_tdb_s(after_s)}, {(after_s - before_s) / DAY_S:.0f} days "
+                f"after {before}; an orbit is fitted over gaps of up to {MAX_GAP_S / DAY_S:.0f}: "
+                "see that the times are right, and fit each flight by itself"
+            )
 
 
 def _start(problem: OrbitProblem, solver: OrbitSolver) -> tuple[Trajectory, FloatArray]:

@@ -310,7 +310,7 @@ class RangeNavigator:
         """(m, 3, 3) of the faces that ranges end on, and (m, 3) what each says of the point."""
         corners = self._ground.mesh.corners[parts.faces]
         shares = np.linalg.solve(corners.transpose(0, 2, 1), parts.points[..., None])[..., 0]
-        return corners, shares
+        return corners, shares.astype(np.float64)
 
 
 def beams_about(

@@ -83,6 +83,17 @@ def test_two_fixes_leave_an_orbit_open(lunar):
         fitted(lunar.fixes[:2])
 
 
+def test_a_fix_years_after_the_others_is_named_at_once(lunar):
+    """Found by hostile inputs: the motion was followed over four years, for minutes."""
+    fixes = list(lunar.fixes)
+    fixes[5] = replace(fixes[5], tdb_s=fixes[5].tdb_s + 1395.0 * 86400.0)
+    with pytest.raises(
+        NoSolutionError, match=rf"{fixes[5].file} is of .*, 139\d days after"
+    ) as said:
+        fitted(fixes)
+    assert "gaps of up to 30" in str(said.value)
+
+
 def test_sigmas_a_thousand_times_too_small_are_refuted(lunar):
     wrong = [replace(f, covariance_m2=f.covariance_m2 * 1e-6) for f in lunar.fixes]
     with pytest.raises(NoSolutionError, match="covariances are too small"):
