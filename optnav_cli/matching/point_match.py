@@ -25,7 +25,7 @@ from catalog.correlation.relief_albedo import (
     relief_patterns,
 )
 from catalog.correlation.similarity import Matcher, best_pair, match_similarity, turned
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
@@ -305,30 +305,19 @@ def _displacement(
     # upper left corners: four blocks about the match, and the expected one with its neighbours
     top = np.array([r, r, r + 1, r + 1, border, border, border, border - 1, border + 1])
     left = np.array([c, c + 1, c, c + 1, border, border - 1, border + 1, border, border])
-    mean, side = np.empty((top.size, 2)), pixels.shape[0] + 1
-    sums = np.zeros((side, side, 3))
-    _block_means(np.ascontiguousarray(pixels), top, left, template_nodes, sums, mean)
+    mean = _block_means(np.ascontiguousarray(pixels), top, left, template_nodes)
     weights = np.array([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u])
     slopes = np.stack([mean[6] - mean[5], mean[8] - mean[7]], axis=-1) / 2.0
     return weights @ mean[:4] - mean[4], slopes
 
 
-@bare_kernel
-def _block_means(
-    pixels: FloatArray,
-    top: IntArray,
-    left: IntArray,
-    side: int,
-    sums: FloatArray,
-    means: FloatArray,
-) -> None:
-    """Fill mean pixels (k, 2) of square blocks of a window (n, n, 2); what is NaN takes no part.
-
-    sums  (n + 1, n + 1, 3) zeros: sums from the corner on, of which a block's is a difference, so
-          that nine blocks are as quick as one
-    """
+@kernel
+def _block_means(pixels: FloatArray, top: IntArray, left: IntArray, side: int) -> FloatArray:
+    """Mean pixels (k, 2) of square blocks of a window (n, n, 2); what is NaN takes no part."""
     size = pixels.shape[0]
-    for i in range(size):
+    # sums along a row from its begin on, of which a block's is a difference
+    along, sums = np.zeros((size + 1, 3)), np.zeros((top.size, 3))
+    for i in range(top.min(), top.max() + side):
         sum_x = sum_y = known = 0.0
         for j in range(size):
             x, y = pixels[i, j, 0], pixels[i, j, 1]
@@ -336,13 +325,12 @@ def _block_means(
                 sum_x += x
                 sum_y += y
                 known += 1.0
-            above, below = sums[i, j + 1], sums[i + 1, j + 1]
-            below[0] = above[0] + sum_x
-            below[1] = above[1] + sum_y
-            below[2] = above[2] + known
+            along[j + 1, 0], along[j + 1, 1], along[j + 1, 2] = sum_x, sum_y, known
+        for n in range(top.size):
+            if top[n] <= i < top[n] + side:
+                for k in range(3):
+                    sums[n, k] += along[left[n] + side, k] - along[left[n], k]
+    means = np.empty((top.size, 2))
     for n in range(top.size):
-        upper, lower, west, east = top[n], top[n] + side, left[n], left[n] + side
-        a, b, c, d = sums[lower, east], sums[upper, east], sums[lower, west], sums[upper, west]
-        known = a[2] - b[2] - c[2] + d[2]
-        means[n, 0] = (a[0] - b[0] - c[0] + d[0]) / known
-        means[n, 1] = (a[1] - b[1] - c[1] + d[1]) / known
+        means[n, 0], means[n, 1] = sums[n, 0] / sums[n, 2], sums[n, 1] / sums[n, 2]
+    return means

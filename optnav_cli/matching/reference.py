@@ -9,7 +9,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.control_point import ControlPoint, Patch
 from catalog.geometry.ellipsoid import height_above
 from catalog.geometry.grid import bicubic_at, cubic_weights
-from catalog.geometry.kernel import kernel
+from catalog.geometry.kernel import bare_kernel, kernel
 from catalog.geometry.projection import MapProjection, TangentPlane
 from catalog.rendering.map_view import render_map
 from catalog.rendering.shadow import shadow_field
@@ -133,26 +133,43 @@ def _fill_from(
         places[k] = last / 2.0 + (k - (size - 1) / 2.0) * ratio
         w = cubic_weights(places[k] - int(places[k]))
         weights[k, 0], weights[k, 1], weights[k, 2], weights[k, 3] = w
+    # a row of the patch, taken along to the window's columns, serves several of its rows
+    lines, held = np.empty((4, size)), np.full(4, -1)
     for row in range(size):
         if not 0.0 <= places[row] <= last:
             continue
         r, inner = int(places[row]), 1.0 <= places[row] < last - 1.0
+        if inner:
+            for i in range(r - 1, r + 3):
+                if held[i % 4] != i:
+                    held[i % 4] = i
+                    _fill_line(places, weights, patch[i], lines[i % 4])
         for col in range(size):
             if not 0.0 <= places[col] <= last or window[row, col] == window[row, col]:
                 continue
             value = np.nan
             if inner and 1.0 <= places[col] < last - 1.0:
                 # as bicubic_at, whose weights are the same for a whole row or column
-                c = int(places[col])
                 value = 0.0
                 for i in range(4):
-                    line = 0.0
-                    for j in range(4):
-                        line += weights[col, j] * patch[r - 1 + i, c - 1 + j]
-                    value += weights[row, i] * line
+                    value += weights[row, i] * lines[(r - 1 + i) % 4, col]
             if value != value:
                 value = bicubic_at(patch, places[row], places[col])
             window[row, col] = value
+
+
+@bare_kernel
+def _fill_line(
+    places: FloatArray, weights: FloatArray, heights: Float32Array, line: FloatArray
+) -> None:
+    """Interpolate a row of heights (n,) at places (m,), by four weights (m, 4) each."""
+    last = heights.size - 1.0
+    for k in range(places.size):
+        if 1.0 <= places[k] < last - 1.0:
+            c = int(places[k])
+            line[k] = 0.0
+            for j in range(4):
+                line[k] += weights[k, j] * heights[c - 1 + j]
 
 
 def _carried_on(

@@ -37,7 +37,12 @@ from optnav_cli.navigation.control_points.error_model import (
     shipped_sizes,
 )
 from optnav_cli.navigation.control_points.expectation import FrameContext, expected, select_evenly
-from optnav_cli.navigation.control_points.solve import MatchedFrame, match_all, matched_frame
+from optnav_cli.navigation.control_points.solve import (
+    MatchedFrame,
+    match_all,
+    matched_frame,
+    search_from,
+)
 from optnav_cli.navigation.observation import Observation, observation_of
 from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from optnav_cli.studies import albedo_fit, descent_fit, flights, horizon_fit, likelihood, navigation
@@ -166,7 +171,7 @@ def of_frame(
     if len(view) == 0:
         return None
     covariance = np.diag([SEARCHED_M**2] * 3 + [0.0] * 3)
-    matches, _, _ = match_all(context, view, pose, covariance, {})
+    matches, _ = match_all(search_from(context, view, pose, covariance), {})
     matched = matched_frame(context, view, matches, pose)
     if matched.errors is None:
         return None

@@ -38,7 +38,13 @@ from optnav_cli.navigation.control_points.expectation import (
     why_nothing_in_view,
 )
 from optnav_cli.navigation.control_points.field import ControlPointField
-from optnav_cli.navigation.control_points.solve import accepted, match_all, solve
+from optnav_cli.navigation.control_points.solve import (
+    accepted,
+    agreeing_few,
+    match_all,
+    search_from,
+    solve,
+)
 from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
@@ -151,14 +157,19 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
             why_nothing_in_view(frame, pose), replace(tried, n_used=0, residual_rms_px=None)
         )
     chosen = {} if before is None else before.chosen
-    matches, at_finest, searched = match_all(frame, view, pose, covariance, chosen)
-    try:
-        solution = solve(frame, view, matches, pose)
-    except NoSolutionError as error:
-        reason = Reason.of(error)
-        text = f"{reason} ({len(accepted(matches))} of {len(view)} matched)"
-        evidence = _evidence(frame, prior, view, matches, None)
-        raise UnsolvedFrameError(reason.worded(text), evidence) from error
+    search = search_from(frame, view, pose, covariance)
+    few = agreeing_few(search)
+    if few is not None:
+        (view, matches, solution), at_finest = few, False
+    else:
+        matches, at_finest = match_all(search, chosen)
+        try:
+            solution = solve(frame, view, matches, pose)
+        except NoSolutionError as error:
+            reason = Reason.of(error)
+            text = f"{reason} ({len(accepted(matches))} of {len(view)} matched)"
+            evidence = _evidence(frame, prior, view, matches, None)
+            raise UnsolvedFrameError(reason.worded(text), evidence) from error
     position, covariance_m2 = solution.pose.position_m, solution.position_covariance_m2
     reason = acceptance.rejection_of_place(position, covariance_m2, prior)
     if reason:
@@ -166,7 +177,8 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
     moved = float(np.sqrt(squared_distance(position - pose.position_m, covariance_m2)))
     evidence = _evidence(frame, prior, view, matches, solution)
     nodes = _moved_nodes(frame, view, matches, solution.pose)
-    return _Pass(view, matches, solution, evidence, moved, nodes, at_finest, searched)
+    postings = search.searched_postings
+    return _Pass(view, matches, solution, evidence, moved, nodes, at_finest, postings)
 
 
 def _moved_nodes(

@@ -1,13 +1,14 @@
 """All control points of a frame searched from one pose, and the pose that their places give."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.correlation.ncc import blur_nodes
 from catalog.correlation.relief_albedo import ReliefAlbedo, frame_strengths
+from catalog.errors import NoSolutionError
 from optnav_cli.estimation.models.points import Pose, ProjectingCamera, Sightings, predict
 from optnav_cli.estimation.resection import Resection, resect_robustly
 from optnav_cli.matching.point_match import MatchGates, PointMatch, match_point
@@ -18,7 +19,11 @@ from optnav_cli.matching.search_plan import (
     search_room,
 )
 from optnav_cli.navigation.control_points import error_model
-from optnav_cli.navigation.control_points.expectation import ExpectedPoints, FrameContext
+from optnav_cli.navigation.control_points.expectation import (
+    ExpectedPoints,
+    FrameContext,
+    select_evenly,
+)
 from optnav_cli.reasons import Reason, ReasonCode
 
 # Rolls and scales are tried this far; beyond it the search in place would miss the point too.
@@ -37,6 +42,8 @@ MIN_STRENGTH = 3.0
 # one search of unrelated ground in a hundred reaches a least score of 0.3.
 SCORED_NODES = 67.0
 DAMAGED = Reason(ReasonCode.DAMAGED_PATCH, "patch damaged in the catalog")
+# So many points lead from one pass to the next where so many of them are found and all agree.
+FEW, AGREEING = 12, 8
 
 
 def least_score(min_score: float, template_nodes: int, coarser: bool = False) -> float:
@@ -57,7 +64,7 @@ def accepted(matches: list[PointMatch]) -> list[int]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class Search:
     """What the points of a view are searched with from one pose.
 
     uncertainty_m  (n,) of their places on the ground;  known_m (n,) postings of their models
@@ -70,27 +77,50 @@ class _Search:
     known_m: FloatArray
     height_sigma_m: float
     roll_sigma: float
+    _made: dict[tuple[int, int, bool], PointMatch] = field(default_factory=dict, repr=False)
+
+    @property
+    def searched_postings(self) -> float:
+        """How far the points are searched, postings of the terrain model (median)."""
+        sigmas = self.frame.settings.match.search_sigmas
+        return sigmas * float(np.median(self.uncertainty_m / self.known_m))
+
+    @property
+    def is_interim(self) -> bool:
+        """Whether the pose allows some point no search at its finest level."""
+        return any(self.room(k, self.finest(k))[0] > self.finest(k) for k in range(len(self.view)))
+
+    def room(self, k: int, finest: int) -> tuple[int, int]:
+        """Level at which a point is searched, of those from `finest` on, and how many nodes far."""
+        limits, postings = self.frame.settings.match, self._postings_m(k)
+        spread = float(self.uncertainty_m[k])
+        return search_room(postings, finest, spread, limits.search_sigmas, limits.max_search_nodes)
+
+    def _postings_m(self, k: int) -> FloatArray:
+        return self.frame.points.postings_m(int(self.view.index[k]))
 
     def finest(self, k: int) -> int:
         """The finest level of a point that the picture resolves."""
-        postings = self.frame.points.postings_m(int(self.view.index[k]))
-        return self.frame.finest_level(postings, float(self.view.metres_per_pixel[k]))
+        return self.frame.finest_level(self._postings_m(k), float(self.view.metres_per_pixel[k]))
 
     def match(self, k: int, finest: int, coarser: bool = False) -> PointMatch:
         """A point at the finest level, of those from `finest` on, that the pose allows.
 
         coarser  as for `least_score`
         """
+        key = k, finest, coarser
+        if key not in self._made:
+            self._made[key] = self._matched(*key)
+        return self._made[key]
+
+    def _matched(self, k: int, finest: int, coarser: bool) -> PointMatch:
         frame, limits, index = self.frame, self.frame.settings.match, int(self.view.index[k])
         reference = frame.points.reference(index)
         if reference is None:
             return PointMatch(0, DAMAGED)
-        postings, sample = frame.points.postings_m(index), float(self.view.metres_per_pixel[k])
-        spread, known = float(self.uncertainty_m[k]), float(self.known_m[k])
-        level, room = search_room(
-            postings, finest, spread, limits.search_sigmas, limits.max_search_nodes
-        )
-        posting = float(postings[level])
+        level, room = self.room(k, finest)
+        sample, known = float(self.view.metres_per_pixel[k]), float(self.known_m[k])
+        posting = float(self._postings_m(k)[level])
         template = frame.template_nodes(posting, sample, known)
         away = np.linalg.norm(frame.points.xyz_m[index] - self.pose.position_m)
         scale_sigma = self.height_sigma_m / float(away)
@@ -112,29 +142,49 @@ class _Search:
         )
 
 
-def match_all(
-    frame: FrameContext,
-    view: ExpectedPoints,
-    pose: Pose,
-    covariance: FloatArray,
-    chosen: Mapping[int, int],
-) -> tuple[list[PointMatch], bool, float]:
-    """Match every point of a view.
+def search_from(
+    frame: FrameContext, view: ExpectedPoints, pose: Pose, covariance: FloatArray
+) -> Search:
+    """How the points of a view are searched from a pose.
 
-    covariance (6, 6) of the pose that the search starts from: position m, rotation rad
-    chosen     level by point, where a pass before found it to be the best one
-    Returns the matches, whether all points were searched at their finest level, and how far they
-    were searched, in postings of the terrain model (median).
+    covariance (6, 6) of the pose: position m, rotation rad
     """
-    points, settings = frame.points, frame.settings
+    points = frame.points
     _, jacobian = predict(frame.camera, pose, points.xyz_m[view.index])
     uncertainty = ground_uncertainty_m(jacobian, covariance, view.metres_per_pixel)
-    known = points.finest_postings_m(view.index)
-    searched_postings = settings.match.search_sigmas * float(np.median(uncertainty / known))
     boresight = pose.turn[2]
     height_sigma = float(np.sqrt(boresight @ covariance[:3, :3] @ boresight))
+    known = points.finest_postings_m(view.index)
     roll_sigma = float(np.sqrt(covariance[5, 5]))
-    search = _Search(frame, view, pose, uncertainty, known, height_sigma, roll_sigma)
+    return Search(frame, view, pose, uncertainty, known, height_sigma, roll_sigma)
+
+
+def agreeing_few(search: Search) -> tuple[ExpectedPoints, list[PointMatch], Resection] | None:
+    """Some points of a view, their matches and pose, where these are enough for the next pass.
+
+    Not where that pass might be the last: points at their finest levels are all searched.
+    """
+    few = select_evenly(search.view, FEW)
+    if len(few) == len(search.view) or not search.is_interim:
+        return None
+    places = np.flatnonzero(np.isin(search.view.index, few.index)).tolist()
+    matches = [search.match(k, search.finest(k)) for k in places]
+    if len(accepted(matches)) < AGREEING:
+        return None
+    try:
+        solution = solve(search.frame, few, matches, search.pose)
+    except NoSolutionError:
+        return None
+    return (few, matches, solution) if solution.used.all() else None
+
+
+def match_all(search: Search, chosen: Mapping[int, int]) -> tuple[list[PointMatch], bool]:
+    """Match every point of a view.
+
+    chosen  level by point, where a pass before found it to be the best one
+    Returns the matches, and whether all points were searched at their finest level.
+    """
+    view = search.view
     finest = [search.finest(k) for k in range(len(view))]
     first = [chosen.get(int(view.index[k]), level) for k, level in enumerate(finest)]
     matches = [search.match(k, level) for k, level in enumerate(first)]
@@ -144,7 +194,7 @@ def match_all(
         for match, level, no_patch in zip(matches, first, damaged, strict=True)
     )
     if not at_finest:  # the pass after this one matches all again
-        return matches, at_finest, searched_postings
+        return matches, at_finest
     doubtful = [
         k
         for k, match in enumerate(matches)
@@ -157,8 +207,7 @@ def match_all(
     albedo = _albedo_of(matches)
     if albedo is not None:
         matches = [match.under(albedo) for match in matches]
-    best = _with_best_levels(search, matches, doubtful, albedo)
-    return best, at_finest, searched_postings
+    return _with_best_levels(search, matches, doubtful, albedo), at_finest
 
 
 def _albedo_of(matches: list[PointMatch]) -> ReliefAlbedo | None:
@@ -177,7 +226,7 @@ def _albedo_of(matches: list[PointMatch]) -> ReliefAlbedo | None:
 
 
 def _with_best_levels(
-    search: _Search, matches: list[PointMatch], doubtful: list[int], albedo: ReliefAlbedo | None
+    search: Search, matches: list[PointMatch], doubtful: list[int], albedo: ReliefAlbedo | None
 ) -> list[PointMatch]:
     """The matches, doubtful ones at the level whose place should be off by the least.
 
@@ -202,7 +251,7 @@ def _with_best_levels(
 
 
 def _expected_errors_px2(
-    search: _Search, matches: list[PointMatch], some: list[int]
+    search: Search, matches: list[PointMatch], some: list[int]
 ) -> dict[int, float]:
     """Expected square of the error of those of some matches that are accepted, px^2."""
     frame, kept = search.frame, [k for k in some if not matches[k].reason]

@@ -182,3 +182,14 @@ def test_a_roll_of_three_degrees_is_found_by_trying_rolls(rough_world, reference
     assert turned.score > straight.score + 0.1
     true_pixel, _ = predict(CAMERA, truth, reference.point.xyz_m[None])
     assert np.abs(turned.pixel - true_pixel[0]).max() < 0.5
+
+
+def test_mean_pixels_of_blocks_are_those_of_their_known_nodes():
+    pixels = np.random.default_rng(3).normal(size=(20, 20, 2))
+    pixels[4:9, 6] = np.nan
+    top, left = np.array([0, 3, 8]), np.array([8, 4, 0])
+    wanted = [
+        np.nanmean(pixels[r : r + 12, c : c + 12], axis=(0, 1))
+        for r, c in zip(top, left, strict=True)
+    ]
+    np.testing.assert_allclose(point_match._block_means(pixels, top, left, 12), wanted, atol=1e-12)

@@ -5,10 +5,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from catalog.control_point import Patch
+from catalog.geometry.grid import bicubic_at
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.rendering.map_view import render_map
-from optnav_cli.matching.reference import Reference
+from optnav_cli.matching.reference import Reference, _fill_from
 
 
 @pytest.fixture
@@ -109,3 +110,21 @@ def test_a_reference_is_the_rendered_patch_and_dark_in_the_ground_s_shadow(refer
     assert (rendered <= alone + 1e-6).all()
     assert (rendered == 0.0).mean() >= (alone == 0.0).mean()
     assert (reference.render(0, reference.heights(0, 64), -sun, camera) == 0.0).all()
+
+
+def test_a_window_from_a_coarser_level_is_bicubic_at_every_node():
+    """Beside a hole and the border too; what the window has stays."""
+    patch = np.random.default_rng(2).normal(size=(30, 30)).astype(np.float32)
+    patch[12, 17] = np.nan
+    window = np.full((40, 40), np.nan, np.float32)
+    window[15:20, 10:30] = 7.0
+    wanted = window.copy()
+    _fill_from(window, 3.0, patch, 4.0)
+    places = 14.5 + (np.arange(40) - 19.5) * 0.75
+    for i, row in enumerate(places):
+        for j, col in enumerate(places):
+            if np.isnan(wanted[i, j]) and 0.0 <= min(row, col) <= max(row, col) <= 29.0:
+                wanted[i, j] = bicubic_at(patch, row, col)
+    assert_allclose(window, wanted, atol=1e-6)
+    assert np.isnan(window).any()
+    assert (window[15:20, 10:30] == 7.0).all()

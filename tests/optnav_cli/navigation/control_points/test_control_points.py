@@ -24,8 +24,10 @@ from optnav_cli.fix import PositionPrior, UnsolvedFrameError
 from optnav_cli.frames.picture import Picture
 from optnav_cli.matching import point_match
 from optnav_cli.navigation.control_points import method
+from optnav_cli.navigation.control_points import solve as solve_module
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.control_points.method import navigate
+from optnav_cli.navigation.control_points.solve import FEW
 from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, SolveSettings
 from optnav_cli.reasons import ReasonCode
@@ -128,6 +130,46 @@ def test_with_an_exact_attitude_the_truth_lies_inside_four_sigma(
     used = [point for point in fix.evidence.matches if point.used]
     assert len(used) >= 0.9 * len(fix.evidence.matches) >= 12
     assert np.sqrt(np.mean([point.residual_px**2 for point in used])) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("hidden_cols", "first_tried"),
+    [(0, FEW), (170, SETTINGS.solve.max_first_pass_points)],
+    ids=["they agree", "too few are found"],
+)
+def test_some_points_lead_to_the_finest_levels_where_they_agree(
+    rough_world, field_of, scene, monkeypatch, hidden_cols, first_tried
+):
+    """Otherwise all are searched, none of them twice; and the last pass has all either way."""
+    picture, pose, sun = scene
+    searches, searched = [], []
+    search_from, match_point = method.search_from, solve_module.match_point
+
+    def noted(*of):
+        searches.append([])
+        return search_from(*of)
+
+    def counted(reference, *of):
+        searches[-1].append(reference.point.id)
+        return match_point(reference, *of)
+
+    def passed(*of):
+        searched.append(search(*of))
+        return searched[-1]
+
+    search = method._search
+    monkeypatch.setattr(method, "search_from", noted)
+    monkeypatch.setattr(solve_module, "match_point", counted)
+    monkeypatch.setattr(method, "_search", passed)
+    picture = picture.copy()
+    picture[:, :hidden_cols] = np.nan
+    fix = solve(rough_world, field_of(rough_world), picture, pose, sun)
+    assert len(searches[0]) == len(set(searches[0])) == len(searched[0].view) == first_tried
+    assert not searched[0].at_finest
+    assert (
+        len(searched[-1].view) == len(fix.evidence.matches) > SETTINGS.solve.max_first_pass_points
+    )
+    assert mahalanobis(fix, pose) < 4.0
 
 
 @pytest.mark.parametrize(
