@@ -1,5 +1,6 @@
 """The fitted numbers of the hazard map, configs/models/hazard.toml, which says what each is."""
 
+import math
 from functools import cache
 from typing import Annotated
 
@@ -65,10 +66,19 @@ class HazardModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     shadow: Share
     max_shadow: Share
+    shadow_sun_deg: Positive
+    most_longer: Annotated[float, msgspec.Meta(ge=1.0)]
+    flatness: NotNegative
     shading: ShadingNumbers
     variance: VarianceNumbers
     prior_sigma_deg: NotNegative
     tilt_sigma_deg: Positive
+
+    def max_shadow_under(self, sun_elevation_deg: float) -> float:
+        """The share of shadow that a pad may have: as rocks that cover so much ground throw it."""
+        known, now = (math.radians(deg) for deg in (self.shadow_sun_deg, sun_elevation_deg))
+        longer = math.tan(known) / math.tan(now)
+        return self.max_shadow * min(max(longer, 1.0), self.most_longer)
 
 
 @cache

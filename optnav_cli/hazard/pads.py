@@ -20,7 +20,6 @@ from optnav_cli.hazard.shading import ShadedSlopes
 REFUSED = 255
 MAX_CODE = 254
 WHOLE = 0.9999  # of a pad that the picture shows; sums of shares round
-STEEPER = 0.02  # share that a radian of mean slope counts for: of equally safe pads the flattest
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +96,10 @@ def risk_of_slopes(
     }
     refused = {
         "not whole in the picture": ~shown,
-        "shadow": shares["shadow_share"] > model.max_shadow,
+        "shadow": shares["shadow_share"] > model.max_shadow_under(view.sun_elevation_deg),
     }
     expected = np.clip(shares["expected_dangerous_share"], 0.0, 1.0)
-    score = expected + shares["mean_slope_deg"] * np.float32(math.radians(STEEPER))
+    score = expected + shares["mean_slope_deg"] * np.float32(math.radians(model.flatness))
     score += shares["expected_critical_share"]
     return with_refusals(
         RiskMap(score, refused, 0.0, 1, cells, coded(MAX_CODE * expected), shares), {}

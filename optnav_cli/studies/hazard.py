@@ -45,6 +45,8 @@ MIN_PADS = 200  # of a bin
 FIRST_FIT_SEED, FIT_FIELDS = 101, 4
 FIT_ELEVATIONS = (5.0, 10.0, 20.0, 40.0)
 FIT_STEP, NARROW_STEP, FIT_BORDER = 4, 3, 12  # judged nodes
+# How pads are chosen: `flatness` and `most_longer` of the model, tried with --fit.
+CHOICES = ((0.02, 3.0), (0.1, 3.0), (0.5, 3.0), (2.0, 3.0), (0.5, 1.0), (0.5, 2.0), (0.5, 4.0))
 NARROW_CELLS = 410  # a picture from 500 m
 NARROW_PARTS = ((0.1, 0.2), (0.3, 0.9), (0.6, 0.5), (0.9, 0.1))  # of the way to the far side
 PRIOR_M, PRIOR_ERROR_DEG = 20.0, 1.0
@@ -104,6 +106,25 @@ class Score:
     pads: list[tuple[float, float, float, float]] = field(default_factory=list)
     bins: FloatArray = field(default_factory=lambda: np.zeros((3, len(EDGES) - 1)))
 
+    def add_area(self, ground: GroundField) -> None:
+        squares = float(np.mean(np.nan_to_num(ground.degrees[2:-2, 2:-2]) ** 2))
+        shares = ground.share_above(DANGEROUS_DEG), ground.share_above(CRITICAL_DEG)
+        self.area.append((*shares, squares))
+
+    def add_pads(
+        self, pads: Sequence[Pad], ground: GroundField, truth: dict[str, Float32Array]
+    ) -> None:
+        """What is found on the pads of a whole field."""
+        self.squares += len(pads)
+        self.add_area(ground)
+        for pad in pads:
+            if pad.cell is None:
+                continue
+            at = round(pad.cell[0]), round(pad.cell[1])
+            expected_share = pad.shares.get("expected_dangerous_share", math.nan)
+            on = [float(truth[name][at]) for name in ("dangerous", "critical", "squares")]
+            self.pads.append((expected_share, on[0], on[1], on[2]))
+
     def add_bins(self, expected: FloatArray, found: FloatArray) -> None:
         at = np.clip(np.digitize(expected, EDGES) - 1, 0, len(EDGES) - 2)
         for row, values in enumerate((np.ones_like(expected), expected, found)):
@@ -125,14 +146,15 @@ class HazardFigures:
     flattest: dict[str, list[float]]
     fields: int
     fitted: str = ""
+    choices: dict[tuple[HazardCase, float, float], Score] = field(default_factory=dict)
 
 
 def run(progress: Progress, fields: int = 8, fit: bool = False) -> HazardFigures:
     """Judge all cases on so many fields of each ground; `fit` finds the model's numbers before."""
-    model, text = hazard_model(), ""
+    model, text, choices = hazard_model(), "", {}
     if fit:
         model = fit_model(model, progress)
-        text = model_sections(model)
+        text, choices = model_sections(model), judge_choices(model)
     scores: Found = {case: Score() for case in CASES}
     pictures = {sun: Score() for sun in SUNS}
     flattest: dict[str, list[float]] = {"rough": [], "even": []}
@@ -148,7 +170,24 @@ def run(progress: Progress, fields: int = 8, fit: bool = False) -> HazardFigures
                 if kind == "rough":
                     judge_pictures(seed, model, pictures)
                 bar.advance()
-    return HazardFigures(scores, pictures, flattest, fields, text)
+    return HazardFigures(scores, pictures, flattest, fields, text, choices)
+
+
+def judge_choices(model: HazardModel) -> dict[tuple[HazardCase, float, float], Score]:
+    """The pads of the fields that numbers are fitted on, by how they are chosen."""
+    scores: dict[tuple[HazardCase, float, float], Score] = {}
+    for case in BINNED:
+        for seed in range(FIRST_FIT_SEED, FIRST_FIT_SEED + FIT_FIELDS):
+            ground = make_field(case.kind, seed)
+            truth = true_shares(ground, PAD_CELLS)
+            view = field_view(ground, case.elevation_deg)
+            slopes = map_slopes(view, model)
+            for flatness, longer in CHOICES:
+                tried = msgspec.structs.replace(model, flatness=flatness, most_longer=longer)
+                risk = risk_of_slopes(view, slopes, PAD_M, tried)
+                score = scores.setdefault((case, flatness, longer), Score())
+                score.add_pads(choose_pads(view, risk, SQUARE_M), ground, truth)
+    return scores
 
 
 def flattest_pads(squares: Float32Array) -> list[float]:
@@ -171,19 +210,7 @@ def judge(
     """Map one field and add what is found on its pads."""
     view = field_view(ground, case.elevation_deg, case.albedo_rms, case.off_nadir_deg)
     risk = _risk(case, ground, view, model)
-    pads = choose_pads(view, risk, SQUARE_M)
-    score.squares += len(pads)
-    squares = float(np.mean(np.nan_to_num(ground.degrees[2:-2, 2:-2]) ** 2))
-    score.area.append(
-        (ground.share_above(DANGEROUS_DEG), ground.share_above(CRITICAL_DEG), squares)
-    )
-    for pad in pads:
-        if pad.cell is None:
-            continue
-        at = round(pad.cell[0]), round(pad.cell[1])
-        expected_share = pad.shares.get("expected_dangerous_share", math.nan)
-        on = [float(truth[name][at]) for name in ("dangerous", "critical", "squares")]
-        score.pads.append((expected_share, on[0], on[1], on[2]))
+    score.add_pads(choose_pads(view, risk, SQUARE_M), ground, truth)
     if case.method == "shading":
         kept = np.isfinite(risk.score)[::STEP, ::STEP]
         expected = risk.shares["expected_dangerous_share"][::STEP, ::STEP][kept]
@@ -225,9 +252,7 @@ def judge_pictures(seed: int, model: HazardModel, scores: dict[float, Score]) ->
         risk = risk_of_slopes(view, map_slopes(view, model), PAD_M, model)
         pads = choose_pads(view, risk, SQUARE_M)
         score.squares += len(pads)
-        squares = float(np.mean(np.nan_to_num(ground.degrees[2:-2, 2:-2]) ** 2))
-        area = ground.share_above(DANGEROUS_DEG), ground.share_above(CRITICAL_DEG), squares
-        score.area.append(area)
+        score.add_area(ground)
         score.pads += pads_below(ground, view, pads)
 
 
@@ -393,7 +418,25 @@ def report(result: HazardFigures) -> StudyReport:
         "variance is the paper's criterion, whose percentages (12-15 % of 38 %, 3 % of 16 %) come "
         "from one real model of 2 m.",
     )
-    return StudyReport((first, second), (*notes, result.fitted) if result.fitted else notes)
+    if not result.fitted:
+        return StudyReport((first, second), notes)
+    return StudyReport((first, second, _choices(result)), (*notes, result.fitted))
+
+
+def _choices(result: HazardFigures) -> StudyTable:
+    rows = []
+    for (case, flatness, longer), score in result.choices.items():
+        row = _row(case.kind, case.elevation_deg, "", score)
+        rows.append((*row[:2], flatness, longer, row[4], row[7], row[9], row[10]))
+    return StudyTable(
+        "How pads are chosen, on the fields that the numbers are fitted on",
+        columns(
+            "ground; sun = Sun [deg] .0f; flatness .2f; longer = most_longer .0f;"
+            "pads_7 = pads > 7° [%] .1f; pads_15 = pads > 15° [%] .2f;"
+            "rms = rms slope less by [%] .1f; pads .0f"
+        ),
+        tuple(rows),
+    )
 
 
 def _flattest_note(result: HazardFigures) -> str:

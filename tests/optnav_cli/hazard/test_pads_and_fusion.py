@@ -48,6 +48,26 @@ def test_pads_in_shadow_and_at_the_border_are_refused() -> None:
     assert (risk.code[:, -4:] == REFUSED).all()
 
 
+@pytest.mark.parametrize(
+    ("sun_deg", "least"), [(60.0, 0.1), (20.0, 0.1), (10.0, 0.206), (5.0, 0.3), (1.0, 0.3)]
+)
+def test_under_a_low_sun_the_shadows_of_the_same_rocks_are_let_pass(sun_deg, least) -> None:
+    """As their lengths go, tan 20 deg / tan 10 deg = 2.06, but never over three times as much."""
+    assert MODEL.max_shadow_under(sun_deg) == pytest.approx(least, abs=5e-4)
+
+
+def test_of_pads_as_safe_the_flattest_is_chosen_and_of_others_the_safest() -> None:
+    none = np.zeros((60, 60), np.float32)
+    steep, dangerous = none + 0.09, none + 0.3
+    steep[20:29, 40:49] = 0.03  # tangents: 3.4 deg less
+    view = view_of(np.ones_like(none))
+    slopes = slopes_of(dangerous)._replace(toward=steep)
+    for at, safer in (((24.0, 44.0), 0.29), ((24.0, 14.0), 0.2)):
+        dangerous[20:29, 10:19] = safer
+        (pad,) = choose_pads(view, risk_of_slopes(view, slopes, 9.0, MODEL), 60.0)
+        assert pad.cell == at
+
+
 def test_a_square_without_a_pad_says_what_refused_them() -> None:
     dangerous = np.zeros((60, 60), np.float32)
     shown = np.ones(dangerous.shape, bool)
