@@ -118,6 +118,7 @@ class Adjustment:
 
     covariance   (k, k) of the common numbers, the errors that frames share of a point included
     point_excess by how much those raised the matches' part, as a variance; 1: not at all
+    off_statements  how far poses lie from positions and attitudes stated of them, sigmas, rms
     steps        of the iteration
     """
 
@@ -125,6 +126,7 @@ class Adjustment:
     covariance: FloatArray
     frames: tuple[FrameResult, ...]
     point_excess: float
+    off_statements: float
     steps: int
 
     @property
@@ -199,7 +201,8 @@ def adjust(
                 )
                 for frame, pose, block, weight in zip(frames, poses, blocks, weights, strict=True)
             )
-            return Adjustment(common, covariance, results, excess, step_number)
+            off = _off_statements(frames, poses, common)
+            return Adjustment(common, covariance, results, excess, off, step_number)
     text = f"the adjustment did not settle in {MAX_STEPS} iterations"
     raise NoSolutionError(text, ReasonCode.NOT_SETTLED)
 
@@ -212,6 +215,18 @@ def stated_pose(frame: AdjustedFrame, common: CommonState) -> Pose | None:
     if position_m is None or attitude is None:
         return None
     return Pose(position_m, attitude)
+
+
+def _off_statements(
+    frames: Sequence[AdjustedFrame], poses: Sequence[Pose], common: CommonState
+) -> float:
+    """As `Adjustment` has it."""
+    square, count = 0.0, 0
+    for frame, pose in zip(frames, poses, strict=True):
+        for _, _, off, weight in _statements(frame, pose, common):
+            square += float(off @ weight @ off)
+            count += off.size
+    return float(np.sqrt(square / max(count, 1)))
 
 
 def _at_exposure(

@@ -46,6 +46,9 @@ PASSES = 2
 WEIGHINGS = 2  # of the matches by the residuals of the adjustment before
 MIN_POINTS, MIN_FRAMES = 12, 2
 MIN_WIDTH = 0.02  # of the points' spread in the picture, across over along: less is a line
+# Poses of a right camera lie 1 sigma and less from what is stated of them; a wrong lens moves the
+# poses, and leaves the residuals small.
+MAX_OFF_STATEMENTS = 2.0
 KINDS = (Common.FOCAL, Common.CENTRE, Common.DISTORTION, Common.MOUNTING, Common.CLOCK)
 
 
@@ -83,7 +86,21 @@ class Calibration:
         found = [f"{name} is not observed" for name in unseen]
         found += [direction.words() for direction in self.directions]
         pairs = tied_pairs(common.numbers, self.adjustment.covariance, focal)
-        return found + [pair.words() for pair in pairs]
+        return self._refuted() + found + [pair.words() for pair in pairs]
+
+    def _refuted(self) -> list[str]:
+        """What says that something wrong was not solved for; its error is in no sigma here."""
+        off = self.adjustment.off_statements
+        if off < MAX_OFF_STATEMENTS:
+            return []
+        solved = {number.kind for number in self.adjustment.common.numbers}
+        others = [kind.value for kind in KINDS if kind not in solved]
+        other = f"{', '.join(others)} may be wrong: solve for them too; or " if others else ""
+        return [
+            f"the poses lie {off:.1f} sigmas (rms) from the positions and "
+            f"attitudes that frames.csv states: {other}its sigmas are too small; the sigmas here "
+            "do not hold that error"
+        ]
 
     def rows(self) -> list[dict[str, object]]:
         """One a number: its value as people write it, its sigma and whether it is observed."""
@@ -126,6 +143,7 @@ class Calibration:
             "matches_used": self.used,
             "sigma_px": self.sigma_px,
             "residual_rms_px": {"before": self.before_px, "after": self.after_px},
+            "off_statements_sigmas": self.adjustment.off_statements,
             "variance_by_shared_points": self.adjustment.point_excess,
         }
 

@@ -113,6 +113,25 @@ def test_residuals_are_written_from_before_and_after(calibration):
     assert (calibration / "manifest.json").exists()
 
 
+def test_a_wrong_lens_that_is_not_solved_for_is_told_by_the_poses(
+    route,
+    catalog_path,  # noqa: F811
+    calibration,
+    tmp_path,
+    capsys,
+):
+    """The clock alone: the pictures fit to a tenth of a pixel, from poses that frames.csv refutes."""
+    right = json.loads((calibration / "calibration.json").read_text())
+    assert right["off_statements_sigmas"] < 1.2
+    assert not any("sigmas (rms)" in note for note in right["notes"])
+    words = (route, "--catalog", catalog_path, "--solve", "clock", "--workers", 1)
+    assert calibrated(*words, "-o", tmp_path / "out") == 0
+    document = json.loads((tmp_path / "out" / "calibration.json").read_text())
+    assert document["residual_rms_px"]["after"] < 0.1
+    assert document["off_statements_sigmas"] > 5.0
+    assert "focal, centre, distortion, mounting may be wrong" in document["notes"][0]
+
+
 def test_a_calibration_has_a_page(calibration, tmp_path):
     assert main.run(["-q", "report", str(calibration), "-o", str(tmp_path / "page.html")]) == 0
     page = (tmp_path / "page.html").read_text()
