@@ -174,15 +174,15 @@ class LogFile(logging.StreamHandler[TextIO]):
     """Writes JSON lines to a file; when that fails, a warning says so once and the work goes on."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.told = path, False
+        self.path, self.warned = path, False
         self.file = open_log(path)
         super().__init__(self.file)
         self.setFormatter(JsonLines())
 
     def emit(self, record: logging.LogRecord) -> None:
         super().emit(record)
-        if self.file.failure is not None and not self.told:
-            self.told = True
+        if self.file.failure is not None and not self.warned:
+            self.warned = True
             reason = self.file.failure.strerror
             _log.warning("%s: cannot write the log: %s; going on without it", self.path, reason)
 

@@ -100,7 +100,7 @@ class ReasonCode(StrEnum):
     OUTLIER = "outlier", "the match disagrees with the others"
 
 
-def told_apart(value: float, limit: float, decimals: int) -> tuple[str, str]:
+def distinct_texts(value: float, limit: float, decimals: int) -> tuple[str, str]:
     """A number and its limit with so many decimals, or as many as tell them apart."""
     while decimals < 17 and value != limit and f"{value:.{decimals}f}" == f"{limit:.{decimals}f}":
         decimals += 1

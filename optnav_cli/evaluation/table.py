@@ -43,13 +43,13 @@ def method_lines(methods: Sequence[MethodFigures]) -> list[str]:
             rows.append((name, share, axis, unit, bias, sigma, largest, inside, nees))
             name = share = nees = ""
     header, *lines = table_lines(rows, left=range(4))
-    told = [header]
+    shown = [header]
     for number, method in enumerate(methods):
-        told += lines[3 * number : 3 * number + 3]
+        shown += lines[3 * number : 3 * number + 3]
         of_range = method.range_rms
         ranges = "" if of_range is None else f"range {100.0 * of_range:.3g} %, "
-        told.append(f"  {ranges}direction to the centre {angle(method.direction_rms)}, rms")
-    return told
+        shown.append(f"  {ranges}direction to the centre {angle(method.direction_rms)}, rms")
+    return shown
 
 
 def _error_lines(figures: Figures) -> list[str]:

@@ -67,10 +67,10 @@ def simulated_route(route: Route, seed: int) -> tuple[list[AdjustedFrame], Commo
         orbit = _Orbit.of(height_km, rng)
         times = route.spacing_s * np.arange(len(share))
         ground = _control_points(route, orbit, times[-1] if len(times) else 0.0, height_km, rng)
-        told = [orbit.position_m(t) for t in times]
-        told = [place + rng.normal(0.0, route.position_sigma_m, 3) for place in told]
-        motions = frame_motions([1e5 * number + t for t in times], told)
-        for time_s, place_m, motion in zip(times, told, motions, strict=True):
+        stated = [orbit.position_m(t) for t in times]
+        stated = [place + rng.normal(0.0, route.position_sigma_m, 3) for place in stated]
+        motions = frame_motions([1e5 * number + t for t in times], stated)
+        for time_s, place_m, motion in zip(times, stated, motions, strict=True):
             roll = rng.uniform(-np.pi, np.pi) if route.rolled else 0.0
             frame = _frame(route, orbit, float(time_s), roll, ground, truth, rng)
             frame = replace(

@@ -39,17 +39,17 @@ def likeliest_factors(
 ) -> dict[str, float]:
     """The likeliest factors, at most max_factor up or down, of the sizes that the data tell."""
     found = drops(likelihood, names)
-    told = [name for name, pair in found.items() if max(map(abs, pair)) > MIN_DROP]
+    known = [name for name, pair in found.items() if max(map(abs, pair)) > MIN_DROP]
 
     def factors(logs: FloatArray) -> dict[str, float]:
-        return dict(zip(told, np.exp(logs).tolist(), strict=True))
+        return dict(zip(known, np.exp(logs).tolist(), strict=True))
 
     def cost(logs: FloatArray) -> float:
         return 0.5 * float(((logs / PRIOR) ** 2).sum()) - likelihood(factors(logs))
 
     limit = float(np.log(max_factor))
     best = minimize(
-        cost, np.zeros(len(told)), method="L-BFGS-B", bounds=[(-limit, limit)] * len(told),
+        cost, np.zeros(len(known)), method="L-BFGS-B", bounds=[(-limit, limit)] * len(known),
         options={"maxiter": 20, "ftol": 1e-6},
     )  # fmt: skip
     return factors(best.x)

@@ -7,7 +7,7 @@ import pytest
 
 from catalog.errors import NoSolutionError
 from optnav_cli.fix import Fix, Method, NoFix, PositionPrior, Solution
-from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, told_apart
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, distinct_texts
 
 DARK = Reason(ReasonCode.NO_LIMB, "no limb in view")
 ARC = Reason(ReasonCode.CONTRADICTS_ARC, "3 km from the arc")
@@ -72,7 +72,7 @@ def test_an_isotropic_prior_has_its_sigma_in_every_direction():
     ],
 )
 def test_a_number_and_its_limit_are_told_apart(value, limit, decimals, wanted):
-    assert told_apart(value, limit, decimals) == wanted
+    assert distinct_texts(value, limit, decimals) == wanted
 
 
 def test_each_reason_has_one_label_its_code_in_words():

@@ -9,7 +9,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb.candidates import BORDER_PX, MIN_BLOB_PIXELS, Candidates
 from optnav_cli.measurements.limb.cone import Cone, PixelRays, find_cone, stretched_rays
 from optnav_cli.measurements.segmentation import Blobs, Levels
-from optnav_cli.reasons import ReasonCode, told_apart
+from optnav_cli.reasons import ReasonCode, distinct_texts
 
 MIN_BODY_PIXELS = 100  # lit; less is a disc for the brightness centre
 MAX_SATURATED = 0.8  # of the lit pixels
@@ -71,7 +71,7 @@ def arc_deg(cone: Cone, rays: FloatArray, step_px: float, rad_per_px: float) -> 
 def check_arc(arc: float, n_points: int) -> None:
     """Raises NoSolutionError for an arc of limb that says nothing about the body's centre."""
     if arc < MIN_ARC_DEG:
-        seen, wanted = told_apart(arc, MIN_ARC_DEG, 0)
+        seen, wanted = distinct_texts(arc, MIN_ARC_DEG, 0)
         raise NoSolutionError(
             f"only {seen} deg of lit limb in view ({n_points} points); "
             f"at least {wanted} deg are needed to tell a limb from other edges",

@@ -19,7 +19,7 @@ from optnav_cli.matching.search_plan import finest_level, template_nodes
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import NavigateSettings, ViewSettings
-from optnav_cli.reasons import Reason, ReasonCode, told_apart
+from optnav_cli.reasons import Reason, ReasonCode, distinct_texts
 
 # A point may lie so far beyond the frame, share of its template's side, if a part is enough.
 BEYOND_SHARE = 0.3
@@ -215,8 +215,8 @@ def why_nothing_in_view(frame: FrameContext, pose: Pose) -> Reason:
             f"the {len(seen)} control points in the frame stand in the shadow of the terrain "
             "about them, or the frame cuts the ground that is compared",
         )
-    lowest, most = told_apart(float(lit.min()), limits.sun_max_deg, 1)
-    highest, least = told_apart(float(lit.max()), limits.sun_min_deg, 1)
+    lowest, most = distinct_texts(float(lit.min()), limits.sun_max_deg, 1)
+    highest, least = distinct_texts(float(lit.max()), limits.sun_min_deg, 1)
     return Reason(
         ReasonCode.POINTS_UNLIT,
         f"none of the {len(seen)} control points in the frame is lit well: Sun elevation "

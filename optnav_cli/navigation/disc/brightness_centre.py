@@ -22,7 +22,7 @@ from optnav_cli.measurements.disc.size import disc_sizes, radius_posterior
 from optnav_cli.measurements.segmentation import Segmented
 from optnav_cli.navigation.horizon.limb_rays import attitude_covariance
 from optnav_cli.navigation.neighbour import CameraView
-from optnav_cli.reasons import Reason, ReasonCode, told_apart
+from optnav_cli.reasons import Reason, ReasonCode, distinct_texts
 
 MAX_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
 MAX_MISFIT = 5.0  # sigmas of the three second moments together
@@ -50,7 +50,7 @@ def navigate(
     towards = camera.unproject(disc.centre)
     phase = float(np.arccos(np.clip(-(towards @ sun), -1.0, 1.0)))
     if np.degrees(phase) > MAX_PHASE_DEG:
-        seen, most = told_apart(float(np.degrees(phase)), MAX_PHASE_DEG, 0)
+        seen, most = distinct_texts(float(np.degrees(phase)), MAX_PHASE_DEG, 0)
         raise NoSolutionError(
             f"the phase is {seen} deg: a crescent that thin says little about "
             f"the disc's centre; the limit is {most} deg",

@@ -13,7 +13,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.measurements.limb.detection import LimbPoints
 from optnav_cli.navigation.horizon.sizes import LightSizes, horizon_sizes
-from optnav_cli.reasons import ReasonCode, told_apart
+from optnav_cli.reasons import ReasonCode, distinct_texts
 
 ARC_BIN_DEG = 2.0
 MIN_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
@@ -96,7 +96,7 @@ def require_arc(azimuths: FloatArray) -> float:
     """`arc_deg` of the points. Raises NoSolutionError for less than a position wants."""
     arc = arc_deg(azimuths)
     if arc < MIN_ARC_DEG:
-        seen, least = told_apart(arc, MIN_ARC_DEG, 0)
+        seen, least = distinct_texts(arc, MIN_ARC_DEG, 0)
         raise NoSolutionError(
             f"the lit limb covers {seen} deg of azimuth about the nadir; a position wants "
             f"{least} deg or more",

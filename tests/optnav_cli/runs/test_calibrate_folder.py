@@ -120,7 +120,7 @@ def test_a_wrong_lens_that_is_not_solved_for_is_told_by_the_poses(
     tmp_path,
     capsys,
 ):
-    """The clock alone: the pictures fit to a tenth of a pixel, from poses that frames.csv refutes."""
+    """The clock alone: pictures fit to a tenth of a pixel, from poses that frames.csv refutes."""
     right = json.loads((calibration / "calibration.json").read_text())
     assert right["off_statements_sigmas"] < 1.2
     assert not any("sigmas (rms)" in note for note in right["notes"])
