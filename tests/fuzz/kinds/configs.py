@@ -142,7 +142,7 @@ def put(data: Any, steps: Steps, value: Any) -> bool:
 
 
 # Settings that say how much is to be done: a lawful hundred thousand takes hours and is no fault.
-AMOUNTS = ("frames", "passes", "trials", "places", "candidates", "hot_pixels", "seeds")
+AMOUNTS = ("frames", "passes", "trials", "places", "candidates", "hot_pixels", "seeds", "pairs")
 # Without these the defaults hold: cells of a degree, relief down to 30 m, 200 landings, and so
 # minutes or hours of work.
 SPARING = ("grid", "cell_deg", "detail", "seeds", "trials")
