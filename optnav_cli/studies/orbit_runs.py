@@ -36,7 +36,7 @@ from optnav_cli.studies.orbit_flights import SHARED
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 MOON = f'[body]\nname = "moon"\n\n[[dem]]\npath = "{flights.GLOBE}"\n\n[grid]\ncell_deg = 3.0\n'
-TURNED_DEG = (0.0, -25.0, 25.0, -40.0, 40.0, 60.0)  # of paths over the Moon: other ground
+TURNED_DEG = (0.0, -25.0, 25.0)  # of paths over the Moon: other ground
 FRAMES = 24  # of a flight past Phobos but the first of each row: what near ones show is alike
 BEGIN = SharedErrorSizes(0.5, 5.0)  # of the search
 COLUMNS = columns(
@@ -105,7 +105,6 @@ class FlownOrbit(flights.Case):
     parts: tuple[tuple[float, float], ...] = ()
 
 
-MOON_FLIGHTS = tuple(_over_the_moon(k, 120.0 + turn) for k, turn in enumerate(TURNED_DEG))
 FLOWN = (
     FlownOrbit(
         "approach, to fit with",
@@ -127,8 +126,12 @@ FLOWN = (
         shares=True,
         parts=((70.0, 301.0), (40.0, 70.0), (19.0, 40.0)),
     ),
-    FlownOrbit("400 km over the Moon, to fit with", "orbit_400km", MOON_FLIGHTS[:3], "moon"),
-    FlownOrbit("400 km over the Moon", "orbit_400km", MOON_FLIGHTS[3:], "moon"),
+    FlownOrbit(
+        "400 km over the Moon",
+        "orbit_400km",
+        tuple(_over_the_moon(k, 120.0 + turn) for k, turn in enumerate(TURNED_DEG)),
+        "moon",
+    ),
 )
 
 
