@@ -16,14 +16,16 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.config import resource
+from catalog.errors import DataError
 from catalog.files import starts_with, write_output
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.progress import Progress
 from catalog.rasters import TERRAIN, open_raster, reading_raster
-from optnav_cli.fix import Solution
-from optnav_cli.frames.picture import load_picture
+from optnav_cli.fix import NoFix, Solution
+from optnav_cli.frames.picture import frame_picture
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.frames.truth import Truth, read_truth
+from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from optnav_cli.simulation import descent_model
 from optnav_cli.simulation.descent import Descent, track_errors
@@ -152,10 +154,15 @@ def fly(
                 camera_from_body=Rotation.from_rotvec(turns[k]).inv() * truth.camera_from_body,
             )
             camera = folder.cameras[frame.camera]
-            picture = load_picture(folder.picture_path(frame), camera)
-            started = time.process_time()
-            solution = navigator.solve(stated, camera, picture)
-            seconds.append(time.process_time() - started)
+            try:
+                picture = frame_picture(pictures, frame.file, camera)
+            except DataError as error:  # all of it in shadow, as under the Sun of ground 33
+                reason = Reason(ReasonCode.BAD_PICTURE, str(error))
+                solution = Solution(frame.file, frame.utc, NoFix(reason))
+            else:
+                started = time.process_time()
+                solution = navigator.solve(stated, camera, picture)
+                seconds.append(time.process_time() - started)
             ground = folder.body.radius_m + (navigator.ground_m(truth.position_m) or 0.0)
             found.append(_flown(solution, truth, ground, last=k == len(truths) - 1))
         return found

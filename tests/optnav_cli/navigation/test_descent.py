@@ -34,6 +34,7 @@ from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from optnav_cli.simulation.descent import Descent, DescentSettings
 from optnav_cli.simulation.passes import SunSettings
 from optnav_cli.simulation.sections import DetailSettings, GlobeSettings, MainCamera
+from optnav_cli.studies import descent_flights
 from tests.optnav_cli.simulation.simulated import simulate
 
 CAMERA = """name = "small"
@@ -200,6 +201,18 @@ def test_a_row_without_a_position_or_picture_is_unsolved_and_the_others_go_on(
         ReasonCode.BAD_PICTURE,
         ReasonCode.NO_PRIOR,
     ]
+
+
+def test_the_study_counts_a_wholly_dark_picture_as_unsolved_and_goes_on(
+    pictures: Path, catalog: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "pictures"
+    shutil.copytree(pictures, folder)
+    dark = folder / "frame_0001.png"
+    cv2.imwrite(str(dark), np.full_like(cv2.imread(str(dark), cv2.IMREAD_UNCHANGED), 3))
+    found = descent_flights.fly(folder, catalog, 1, [])
+    assert [each.error_m is not None for each in found] == [True, False, True, True]
+    assert found[1].solution.reason.startswith("frame_0001.png: all pixels")
 
 
 def test_a_gap_in_the_track_is_bridged(
