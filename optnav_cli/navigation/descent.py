@@ -50,6 +50,9 @@ MIN_FIRST = 5
 WINDOW_GATE = 9.0
 # With at least so many windows found, most of which the track contradicts, the track is wrong.
 MIN_AGAINST = 6
+# So many of them, that agree with each other, show a jump that the track's own places do not: six
+# near the ground have agreed on a place 78 m off.
+MIN_JUMPED = 8
 # No craft turns its velocity faster than by so many m/s^2; a track that does so jumps.
 MAX_ACCELERATION, MIN_JUMP_M = 20.0, 50.0
 PRIOR_SOURCE = "inertial track"
@@ -373,8 +376,12 @@ class DescentNavigator:
         free.filter.jumped(3.0 * away, 0.0)
         made = _joined(free, frame, stated, found, [])
         agreeing = sum(made.used.values())
-        if agreeing < max(MIN_FIRST, len(found) // 2 + 1):
-            text = f"{agreeing} of {len(found)} windows agree with each other"
+        wanted = max(MIN_JUMPED, len(found) // 2 + 1)
+        if agreeing < wanted:
+            text = (
+                f"{agreeing} of {len(found)} windows agree with each other, against the inertial "
+                f"track; a jump of it wants {wanted}"
+            )
             raise NoSolutionError(text, ReasonCode.POINTS_DISAGREE)
         text = (
             f"the ground lies {away:.0f} m from where the inertial track leads: it has jumped, by "

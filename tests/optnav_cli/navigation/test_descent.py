@@ -13,13 +13,15 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from catalog.api import build_catalog
 from catalog.config import resource
-from catalog.errors import DataError, NothingToDoError
+from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.geometry.vectors import squared_distance
 from catalog.terrain.dem.source import DemSettings
 from optnav_cli.api import evaluate, navigate_folder, report
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.evaluation.files import write_evaluation
 from optnav_cli.fix import MatchKind, Method
 from optnav_cli.frames.folder import read_folder
@@ -29,7 +31,7 @@ from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigation import descent
 from optnav_cli.output.run_folder import RECORDING, read_run
 from optnav_cli.output.tables import read_matches
-from optnav_cli.reasons import ReasonCode
+from optnav_cli.reasons import NO_REASON, ReasonCode
 from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from optnav_cli.simulation.descent import Descent, DescentSettings
 from optnav_cli.simulation.passes import SunSettings
@@ -170,6 +172,35 @@ def test_landmarks_outvote_a_few_wrong_windows(
         found: Any = navigator._updated
         assert found(None, None, windows, landmarks).used[0]
         assert found(None, None, windows, []) == "jumped"
+
+
+@pytest.mark.parametrize(("count", "jumps"), [(7, False), (8, True)])
+def test_a_few_windows_against_the_track_are_no_jump_of_it(
+    pictures: Path, catalog: Path, monkeypatch: pytest.MonkeyPatch, count: int, jumps: bool
+) -> None:
+    """Near the ground six have agreed on a place 78 m off."""
+    match = SimpleNamespace(reason=NO_REASON, pixel=np.array([5.0, 0.0]))
+    place_m = np.array([1.737e6, 0.0, 0.0])
+    windows: Any = [
+        SimpleNamespace(
+            window=SimpleNamespace(key=k, place_m=place_m), match=match, expected_px=np.zeros(2)
+        )
+        for k in range(count)
+    ]
+    frame: Any = SimpleNamespace(camera=SimpleNamespace(coarse_focal_px=1000.0))
+    stated = Pose(place_m + [2e3, 0.0, 0.0], Rotation.identity())
+    used = dict.fromkeys(range(count), True)
+    monkeypatch.setattr(descent, "_joined", lambda state, *_: descent._Updated(state, used))
+    with closing(FrameWorker(RunInputs(pictures, [catalog]))) as worker:
+        navigator = worker.descent(InertialSettings())
+        assert navigator is not None
+        if jumps:
+            made = navigator._after_jump(frame, stated, windows)
+            assert made.remark.code == ReasonCode.TRACK_JUMP
+            assert "the ground lies 10 m from where" in made.remark.text
+        else:
+            with pytest.raises(NoSolutionError, match="7 of 7 windows agree"):
+                navigator._after_jump(frame, stated, windows)
 
 
 def test_rows_that_run_back_are_refused(
