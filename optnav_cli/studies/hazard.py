@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import product
 from typing import Any
 
 import msgspec
@@ -175,18 +176,20 @@ def run(progress: Progress, fields: int = 8, fit: bool = False) -> HazardFigures
 
 def judge_choices(model: HazardModel) -> dict[tuple[HazardCase, float, float], Score]:
     """The pads of the fields that numbers are fitted on, by how they are chosen."""
-    scores: dict[tuple[HazardCase, float, float], Score] = {}
-    for case in BINNED:
-        for seed in range(FIRST_FIT_SEED, FIRST_FIT_SEED + FIT_FIELDS):
-            ground = make_field(case.kind, seed)
-            truth = true_shares(ground, PAD_CELLS)
+    scores = {(case, *choice): Score() for case in BINNED for choice in CHOICES}
+    for kind, seed in _fit_fields():
+        ground = make_field(kind, seed)
+        truth = true_shares(ground, PAD_CELLS)
+        for case in BINNED:
+            if case.kind != kind:
+                continue
             view = field_view(ground, case.elevation_deg)
             slopes = map_slopes(view, model)
             for flatness, longer in CHOICES:
                 tried = msgspec.structs.replace(model, flatness=flatness, most_longer=longer)
                 risk = risk_of_slopes(view, slopes, PAD_M, tried)
-                score = scores.setdefault((case, flatness, longer), Score())
-                score.add_pads(choose_pads(view, risk, SQUARE_M), ground, truth)
+                pads = choose_pads(view, risk, SQUARE_M)
+                scores[case, flatness, longer].add_pads(pads, ground, truth)
     return scores
 
 
@@ -274,17 +277,21 @@ def pads_below(
     return found
 
 
+def _fit_fields() -> Iterator[tuple[str, int]]:
+    """Kinds and seeds of the fields that numbers are fitted on."""
+    return product(("rough", "even"), range(FIRST_FIT_SEED, FIRST_FIT_SEED + FIT_FIELDS))
+
+
 @lru_cache(maxsize=1)
 def _fit_data(model: HazardModel) -> dict[float, FloatArray]:
     """Features and truth of cells of the fields that numbers are fitted on, by the Sun."""
     parts: dict[float, list[FloatArray]] = {elevation: [] for elevation in FIT_ELEVATIONS}
-    for kind in ("rough", "even"):
-        for seed in range(FIRST_FIT_SEED, FIRST_FIT_SEED + FIT_FIELDS):
-            ground = make_field(kind, seed)
-            for elevation in FIT_ELEVATIONS:
-                whole = field_view(ground, elevation)
-                for part, corner in _parts(whole):
-                    parts[elevation].append(_features(part, corner, ground, model))
+    for kind, seed in _fit_fields():
+        ground = make_field(kind, seed)
+        for elevation in FIT_ELEVATIONS:
+            whole = field_view(ground, elevation)
+            for part, corner in _parts(whole):
+                parts[elevation].append(_features(part, corner, ground, model))
     return {elevation: np.concatenate(rows, axis=1) for elevation, rows in parts.items()}
 
 

@@ -162,3 +162,24 @@ def test_the_report_shows_all_cases(small):
     assert len(first.rows) == len(study.CASES) + 1
     assert first.column("rms")[0] == pytest.approx(50.0)
     assert len(second.rows) == 10 * len(study.BINNED)
+
+
+def test_choices_of_pads_are_judged_on_fields_of_their_own_kind_alone(small, monkeypatch):
+    made = []
+
+    def field(kind, seed):
+        made.append((kind, seed))
+        return small
+
+    monkeypatch.setattr(study, "make_field", field)
+    monkeypatch.setattr(study, "FIT_FIELDS", 1)
+    choices = study.judge_choices(MODEL)
+    assert made == [("rough", 101), ("even", 101)]
+    assert len(choices) == len(study.BINNED) * len(study.CHOICES)
+    assert all(score.squares == 4 and len(score.area) == 1 for score in choices.values())
+    table = study._choices(study.HazardFigures({}, {}, {}, 0, "fitted", choices))
+    assert {row[:4] for row in table.rows} == {
+        (case.kind, case.elevation_deg, *choice)
+        for case in study.BINNED
+        for choice in study.CHOICES
+    }
