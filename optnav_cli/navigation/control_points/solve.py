@@ -64,7 +64,7 @@ def accepted(matches: list[PointMatch]) -> list[int]:
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class PointSearch:
     """What the points of a view are searched with from one pose.
 
     uncertainty_m  (n,) of their places on the ground;  known_m (n,) postings of their models
@@ -88,7 +88,8 @@ class Search:
     @property
     def is_interim(self) -> bool:
         """Whether the pose allows some point no search at its finest level."""
-        return any(self.room(k, self.finest(k))[0] > self.finest(k) for k in range(len(self.view)))
+        finest = map(self.finest, range(len(self.view)))
+        return any(self.room(k, level)[0] > level for k, level in enumerate(finest))
 
     def room(self, k: int, finest: int) -> tuple[int, int]:
         """Level at which a point is searched, of those from `finest` on, and how many nodes far."""
@@ -144,7 +145,7 @@ class Search:
 
 def search_from(
     frame: FrameContext, view: ExpectedPoints, pose: Pose, covariance: FloatArray
-) -> Search:
+) -> PointSearch:
     """How the points of a view are searched from a pose.
 
     covariance (6, 6) of the pose: position m, rotation rad
@@ -156,17 +157,17 @@ def search_from(
     height_sigma = float(np.sqrt(boresight @ covariance[:3, :3] @ boresight))
     known = points.finest_postings_m(view.index)
     roll_sigma = float(np.sqrt(covariance[5, 5]))
-    return Search(frame, view, pose, uncertainty, known, height_sigma, roll_sigma)
+    return PointSearch(frame, view, pose, uncertainty, known, height_sigma, roll_sigma)
 
 
-def agreeing_few(search: Search) -> tuple[ExpectedPoints, list[PointMatch], Resection] | None:
+def agreeing_few(search: PointSearch) -> tuple[ExpectedPoints, list[PointMatch], Resection] | None:
     """Some points of a view, their matches and pose, where these are enough for the next pass.
 
     Not where that pass might be the last: points at their finest levels are all searched.
     """
-    few = select_evenly(search.view, FEW)
-    if len(few) == len(search.view) or not search.is_interim:
+    if len(search.view) <= FEW or not search.is_interim:
         return None
+    few = select_evenly(search.view, FEW)
     places = np.flatnonzero(np.isin(search.view.index, few.index)).tolist()
     matches = [search.match(k, search.finest(k)) for k in places]
     if len(accepted(matches)) < AGREEING:
@@ -178,7 +179,7 @@ def agreeing_few(search: Search) -> tuple[ExpectedPoints, list[PointMatch], Rese
     return (few, matches, solution) if solution.used.all() else None
 
 
-def match_all(search: Search, chosen: Mapping[int, int]) -> tuple[list[PointMatch], bool]:
+def match_all(search: PointSearch, chosen: Mapping[int, int]) -> tuple[list[PointMatch], bool]:
     """Match every point of a view.
 
     chosen  level by point, where a pass before found it to be the best one
@@ -226,7 +227,7 @@ def _albedo_of(matches: list[PointMatch]) -> ReliefAlbedo | None:
 
 
 def _with_best_levels(
-    search: Search, matches: list[PointMatch], doubtful: list[int], albedo: ReliefAlbedo | None
+    search: PointSearch, matches: list[PointMatch], doubtful: list[int], albedo: ReliefAlbedo | None
 ) -> list[PointMatch]:
     """The matches, doubtful ones at the level whose place should be off by the least.
 
@@ -251,7 +252,7 @@ def _with_best_levels(
 
 
 def _expected_errors_px2(
-    search: Search, matches: list[PointMatch], some: list[int]
+    search: PointSearch, matches: list[PointMatch], some: list[int]
 ) -> dict[int, float]:
     """Expected square of the error of those of some matches that are accepted, px^2."""
     frame, kept = search.frame, [k for k in some if not matches[k].reason]
