@@ -48,10 +48,10 @@ MIN_FIRST = 5
 # Windows scatter with longer tails than the filter's Gaussian: of right ones this gate takes one in
 # 90 and most of those that would draw the solution along. Where fewer than half pass, GATE decides.
 WINDOW_GATE = 9.0
-# With at least so many windows found, most of which the track contradicts, the track is wrong.
+# With at least so many windows found, most of which the track contradicts, it carries no frame on.
 MIN_AGAINST = 6
 # So many of them, that agree with each other, show a jump that the track's own places do not: six
-# near the ground have agreed on a place 78 m off.
+# near the ground have agreed on a place 77 m off.
 MIN_JUMPED = 8
 # No craft turns its velocity faster than by so many m/s^2; a track that does so jumps.
 MAX_ACCELERATION, MIN_JUMP_M = 20.0, 50.0

@@ -178,7 +178,7 @@ def test_landmarks_outvote_a_few_wrong_windows(
 def test_a_few_windows_against_the_track_are_no_jump_of_it(
     pictures: Path, catalog: Path, monkeypatch: pytest.MonkeyPatch, count: int, jumps: bool
 ) -> None:
-    """Near the ground six have agreed on a place 78 m off."""
+    """Near the ground six have agreed on a place 77 m off."""
     match = SimpleNamespace(reason=NO_REASON, pixel=np.array([5.0, 0.0]))
     place_m = np.array([1.737e6, 0.0, 0.0])
     windows: Any = [
