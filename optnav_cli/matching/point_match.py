@@ -28,6 +28,7 @@ from catalog.correlation.similarity import Matcher, best_pair, match_similarity,
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose
+from optnav_cli.matching import pixel_blur
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.search_plan import NO_DISTORTION, SearchPlan
@@ -153,8 +154,8 @@ def match_point(
     border = search_nodes + margin
     heights = reference.heights(level, plan.template_nodes + 2 * border)
     around = cropped(heights, search_nodes)
-    template = reference.render(level, around, sun_body, pose.position_m)
-    refusal = _rejection_of_template(cropped(template, margin) if blur_nodes else template)
+    sharp = reference.render(level, around, sun_body, pose.position_m)
+    refusal = _rejection_of_template(cropped(sharp, margin) if blur_nodes else sharp)
     if refusal:
         return PointMatch(level, refusal)
     surface = reference.surface(level, heights)
@@ -166,6 +167,8 @@ def match_point(
     known, _ = _shares(sampled, border)
     if known < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
         return PointMatch(level, OUTSIDE)
+    blur_px = pixel_blur.sigma_px(camera)
+    template = pixel_blur.as_seen(sharp, pixels, blur_px)
     if blur_nodes:
         even = plan.template_nodes % 2 == 0
         template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
@@ -204,8 +207,9 @@ def match_point(
         return found
 
     def lay() -> ReliefMatch | None:
-        patterns = relief_patterns(around, posting, rendered)
-        return relief_match(match, template, patterns, window, MARGIN_NODES)
+        patterns = relief_patterns(around, posting, sharp)
+        seen = np.stack([pixel_blur.as_seen(each, pixels, blur_px) for each in patterns])
+        return relief_match(match, template, seen, window, MARGIN_NODES)
 
     return replace(found, albedo=AlbedoFit(lay, placed))
 
