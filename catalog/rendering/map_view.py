@@ -30,6 +30,7 @@ from catalog.rendering.shadow import (
 from catalog.rendering.swept import ShadowField
 
 ZENITH = (0.0, 0.0, 1.0)
+LEVEL_NODES = 9  # a side of the places that level ground is looked at
 
 
 def render_map(
@@ -91,6 +92,55 @@ def render_map_quickly(
         outer,
         SMALL_TABLE_SIZE,
     )
+
+
+def render_map_near(
+    heights: Float32Array,
+    posting_m: float,
+    sun_local: ArrayLike,
+    camera_local: FloatArray,
+    *,
+    radius_m: float,
+    outer: Outer | None = (),
+) -> Float32Array:
+    """As `render_map` by Hapke's law for a near camera, in a fifth of the time.
+
+    By the lunar-Lambert law every node is seen from the camera itself. How Hapke's law differs from
+    that by the slope is taken from the middle of the grid, and how it differs for level ground from
+    some places.
+    """
+    known = heights[np.isfinite(heights)]
+    middle_m = np.float32(known.mean() if known.size else 0.0)
+    view = camera_local - np.array([0.0, 0.0, middle_m])
+
+    def nearly(grid: Float32Array, step_m: float, shadows: Outer | None) -> Float32Array:
+        place = grid, step_m, sun_local
+        law, radius = "lunar_lambert", radius_m
+        near = render_map(
+            *place, radius_m=radius, camera_local=camera_local, law=law, outer=shadows
+        )
+        far = render_map(*place, radius_m=radius, view_local=view, law=law, outer=None)
+        wanted = render_map_quickly(*place, radius_m=radius, view_local=view, outer=None)
+        return near * np.divide(wanted, far, out=np.zeros_like(far), where=far > 0.0)
+
+    level = np.full((LEVEL_NODES, LEVEL_NODES), middle_m, np.float32)
+    apart_m = posting_m * (len(heights) - 1) / (LEVEL_NODES - 1)
+    exact = render_map(
+        level, apart_m, sun_local, radius_m=radius_m, camera_local=camera_local, outer=None
+    )
+    found = nearly(level, apart_m, None)
+    factor = np.divide(exact, found, out=np.ones_like(exact), where=found > 0.0)
+    spread = _spread(len(heights))
+    return nearly(heights, posting_m, outer) * (spread @ factor @ spread.T)
+
+
+@lru_cache(maxsize=64)
+def _spread(size: int) -> Float32Array:
+    """Weights (size, LEVEL_NODES) of LEVEL_NODES even places at `size` even ones between them."""
+    at = np.linspace(0.0, LEVEL_NODES - 1.0, size)
+    away = np.abs(at[:, None] - np.arange(LEVEL_NODES))
+    weights: Float32Array = np.maximum(1.0 - away, 0.0).astype(np.float32)
+    return weights
 
 
 def render_levels(

@@ -18,6 +18,7 @@ from optnav_cli.camera.camera import PIXEL_SIGMA_PX, Camera
 # by 0.8.
 ASSUMED_PSF_PX = 0.6
 LEAST_NODES = 0.25  # sigma; a blur of less changes no node by a hundredth of its neighbours
+PROBE_NODES = 8  # from one node to the next that tell whether the blur counts
 MOST_NODES = 12  # that a blur reaches to either side
 # The weight (1 - d^2 / reach^2)^4 has the variance of a Gaussian whose sigma is reach / sqrt(12).
 REACH = math.sqrt(12.0)
@@ -36,27 +37,36 @@ def as_seen(grid: Float32Array, pixels: FloatArray, blur_px: float) -> Float32Ar
     blur_px  sigma of the camera's blur
     NaN of the grid stays and takes no part. Where the blur is far below a node, the grid itself.
     """
-    border = (pixels.shape[0] - grid.shape[0]) // 2
+    size, border = grid.shape[0], (pixels.shape[0] - grid.shape[0]) // 2
     places = np.ascontiguousarray(pixels)
-    area, reach = _footprints(places, grid.shape[0], border, blur_px * REACH)
+    area, reach = np.zeros((size, size)), np.zeros((2, size, size), np.float32)
+    _fill_footprints(places, border, blur_px * REACH, PROBE_NODES, area, reach)
     if reach.max() < LEAST_NODES * REACH:
         return grid
+    _fill_footprints(places, border, blur_px * REACH, 1, area, reach)
     out = np.empty_like(grid)
     _average(grid, places, border, area, reach, blur_px * REACH, out)
     return out
 
 
 @kernel
-def _footprints(
-    pixels: FloatArray, size: int, border: int, reach_px: float
-) -> tuple[FloatArray, Float32Array]:
-    """What nodes (size, size) cover of the picture, px^2, and how many nodes down and along, (2,),
-    a circle of `reach_px` about each reaches."""
-    area = np.zeros((size, size))
-    reach = np.zeros((2, size, size), np.float32)
-    facing = 0.0
-    for i in range(size):
-        for j in range(size):
+def _fill_footprints(
+    pixels: FloatArray,
+    border: int,
+    reach_px: float,
+    step: int,
+    area: FloatArray,
+    reach: Float32Array,
+) -> None:
+    """What some nodes cover of the picture, and how far a circle about each reaches there.
+
+    step   from one node to the next
+    area   (size, size) px^2, 0 of ground that is turned from the camera
+    reach  (2, size, size) nodes down and along that `reach_px` spans
+    """
+    size, facing = area.shape[0], 0.0
+    for i in range(0, size, step):
+        for j in range(0, size, step):
             p, q = i + border, j + border
             down_x = 0.5 * (pixels[p + 1, q, 0] - pixels[p - 1, q, 0])
             down_y = 0.5 * (pixels[p + 1, q, 1] - pixels[p - 1, q, 1])
@@ -68,12 +78,11 @@ def _footprints(
                 facing += turned
                 reach[0, i, j] = reach_px * math.hypot(along_x, along_y) / abs(turned)
                 reach[1, i, j] = reach_px * math.hypot(down_x, down_y) / abs(turned)
+    # ground that is turned from the camera is seen the other way round
     sign = 1.0 if facing >= 0.0 else -1.0
-    for i in range(size):
-        for j in range(size):
-            # ground that is turned from the camera is seen the other way round
+    for i in range(0, size, step):
+        for j in range(0, size, step):
             area[i, j] = max(sign * area[i, j], 0.0)
-    return area, reach
 
 
 @kernel

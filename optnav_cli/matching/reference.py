@@ -11,7 +11,7 @@ from catalog.geometry.ellipsoid import height_above
 from catalog.geometry.grid import bicubic_at, cubic_weights
 from catalog.geometry.kernel import bare_kernel, kernel
 from catalog.geometry.projection import MapProjection, TangentPlane
-from catalog.rendering.map_view import render_map
+from catalog.rendering.map_view import render_map_near
 from catalog.rendering.shadow import shadow_field
 from catalog.rendering.swept import ShadowField
 
@@ -96,11 +96,11 @@ class Reference:
         """
         body_from_local = self.projection.body_from_local
         sun_local = sun_body @ body_from_local
-        return render_map(
+        return render_map_near(
             heights,
             self.patches[level].posting_m,
             sun_local,
-            camera_local=(camera_position_m - np.array(self.projection.foot_m)) @ body_from_local,
+            (camera_position_m - np.array(self.projection.foot_m)) @ body_from_local,
             radius_m=self.projection.radius_m,
             outer=self._shadows(level, sun_local),
         )

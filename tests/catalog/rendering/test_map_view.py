@@ -7,13 +7,14 @@ import pytest
 import rasterio
 
 from catalog.config import resource
+from catalog.correlation.ncc import high_pass
 from catalog.errors import ConfigError
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.photometry import hapke
 from catalog.photometry.hapke import LUNAR
 from catalog.photometry.laws import HAPKE, LAW_NUMBERS, NORMAL_ALBEDO, SurfaceLaw
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE
-from catalog.rendering.map_view import render_levels, render_map
+from catalog.rendering.map_view import render_levels, render_map, render_map_near
 from catalog.rendering.shading import NEAR, TABLE, Lighting
 from catalog.rendering.shadow import NO_FIELD, NO_TABLE, illuminated, map_grid
 from catalog.rendering.swept import Sweep, sweep_grid
@@ -244,3 +245,30 @@ def test_the_quick_shading_for_a_near_camera_is_that_of_every_node(tycho, camera
     exact = illuminated(map_grid(heights, 400.0, 1737400.0), light, (), TABLE_SIZE)
     assert np.isnan(exact).any()
     np.testing.assert_allclose(quick, exact, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("camera_m", "most"),
+    [((2e4, 1e4, 1e5), 0.05), ((-0.6e5, 0.2e5, 0.4e5), 0.1), ((3e5, -1e5, 1e5), 0.1)],
+)
+def test_hapkes_law_for_a_near_camera_is_nearly_that_of_every_node(tycho, camera_m, most):
+    heights = np.array(tycho[:96, :96], np.float32)
+    heights[3:9, 60:70] = np.nan
+    towards, camera = np.array([0.6, 0.2, 0.4]), np.array(camera_m)
+    quick = render_map_near(heights, 400.0, towards, camera, radius_m=MOON_M)
+    exact, simple = (
+        render_map(heights, 400.0, towards, radius_m=MOON_M, camera_local=camera, law=law)
+        for law in ("hapke", "lunar_lambert")
+    )
+    np.testing.assert_array_equal(np.isnan(quick), np.isnan(exact))
+    np.testing.assert_array_equal(quick == 0.0, exact == 0.0)
+    wanted = high_pass(exact)
+
+    def off(grid):
+        """What a pattern leaves over, at the best contrast."""
+        pattern = high_pass(grid)
+        contrast = (wanted * pattern).sum() / (pattern * pattern).sum()
+        return np.std(contrast * pattern - wanted) / np.std(wanted)
+
+    assert off(quick) < most
+    assert off(simple) > 1.5 * off(quick)
