@@ -28,7 +28,7 @@ class MatchSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     template_nodes: Annotated[int, msgspec.Meta(ge=16, le=256)] = 80
     # finest level used: its posting over the pixel on the ground
-    finest_posting_per_gsd: Annotated[float, msgspec.Meta(ge=0.01, le=100.0)] = 0.5
+    finest_posting_per_gsd: Annotated[float, msgspec.Meta(ge=0.01, le=100.0)] = 0.4
     max_search_nodes: Annotated[int, msgspec.Meta(ge=4, le=128)] = 24
     search_sigmas: Annotated[float, msgspec.Meta(ge=0.1, le=100.0)] = 3.5
     min_score: Share = 0.3

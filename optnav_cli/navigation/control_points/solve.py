@@ -229,9 +229,10 @@ def _albedo_of(matches: list[PointMatch]) -> ReliefAlbedo | None:
 def _with_best_levels(
     search: PointSearch, matches: list[PointMatch], doubtful: list[int], albedo: ReliefAlbedo | None
 ) -> list[PointMatch]:
-    """The matches, doubtful ones at the level whose place should be off by the least.
+    """The matches, doubtful ones at the level that should leave the frame's place off by the least.
 
-    The finest level shows most of what the terrain model does not know.
+    The finest level shows most of what the terrain model does not know. What coarser ones err by is
+    more alike from point to point.
     albedo  that follows relief, where it is fitted
     """
     best, errors = list(matches), _expected_errors_px2(search, matches, doubtful)
@@ -254,17 +255,22 @@ def _with_best_levels(
 def _expected_errors_px2(
     search: PointSearch, matches: list[PointMatch], some: list[int]
 ) -> dict[int, float]:
-    """Expected square of the error of those of some matches that are accepted, px^2."""
+    """What the error of those of some matches that are accepted does to the frame's, square, px^2.
+
+    Of a point's own error the other points leave one part in as many as they are; what is common to
+    all of them stays.
+    """
     frame, kept = search.frame, [k for k in some if not matches[k].reason]
     if not kept:
         return {}
     places = frame.points.xyz_m[search.view.index[kept]]
     points = _matched_points(frame, search.view, matches, kept, places, search.pose)
     own = error_model.own_covariances_px2(points)
-    stated = np.array([matches[k].covariance_px2 for k in kept])
-    bias = error_model.bias_px(points, frame.sun_body)
-    squares = np.trace(stated + own, axis1=1, axis2=2) + (bias**2).sum(axis=1)
-    return dict(zip(kept, squares.tolist(), strict=True))
+    own += np.array([matches[k].covariance_px2 for k in kept])
+    common = error_model.common_errors_px(points, frame.sun_body)
+    squares = np.trace(own, axis1=1, axis2=2) / len(accepted(matches))
+    squares += (common**2).sum(axis=(1, 2))
+    return dict(zip(kept, squares.tolist()))
 
 
 def _matched_points(
