@@ -30,6 +30,9 @@ from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 FILE = "configs/models/acceptance.toml"
+# Parts of templates behind a blur, of which two hardly contradict each other: near Phobos two that
+# scored 0.7 and 0.9 put the camera off by 4 and 8 sigmas.
+FEWEST_PARTS = 3
 
 
 class _Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -161,6 +164,14 @@ def rejection_of_matches(
         text = f"{used} of {tried} control points agree, no more than by chance"
         return Reason(ReasonCode.BY_CHANCE, text)
     return NO_REASON
+
+
+def rejection_of_parts(used: int) -> Reason:
+    """Why so many parts of templates behind a blur carry no solution; empty when they do."""
+    if used >= FEWEST_PARTS:
+        return NO_REASON
+    text = f"{used} control points, seen in parts, agree; at least {FEWEST_PARTS} are needed"
+    return Reason(ReasonCode.FEW_POINTS, text)
 
 
 def rejection_of_place(

@@ -210,6 +210,8 @@ def _rejection(
         least = limits.decades.least_of_near_parts if near else limits.decades.least_of_parts
         most = limits.scatter.parts
     reason = acceptance.rejection_of_matches(last.solution, decades, searched, least, most)
+    if parts:
+        reason = reason or acceptance.rejection_of_parts(len(last.used))
     reason = reason or acceptance.rejection_of_light(_lights(frame, last))
     scatter = float(np.sqrt(last.solution.variance_factor / most))
     return reason, GateMargins(decades - least, scatter)

@@ -11,9 +11,11 @@ from optnav_cli.navigation.control_points.acceptance import (
     decades_of_parts,
     log10_false_alarms,
     rejection_of_matches,
+    rejection_of_parts,
     rejection_of_place,
 )
 from optnav_cli.navigation.control_points.solve import least_score
+from optnav_cli.reasons import ReasonCode
 
 DECADES = acceptance_limits().decades
 
@@ -101,6 +103,11 @@ def test_ground_that_two_templates_show_is_evidence_once():
     assert decades_of_parts([6.0, 6.0], [0.5, 0.5], 2, 1.0) == pytest.approx(apart / 2.0)
     assert decades_of_parts([6.0], [1.0], 1, 1.0) == pytest.approx(apart / 2.0)
     assert decades_of_parts([6.0, 6.0], [1.0, 1.0], 9, 1.0) < apart
+
+
+def test_two_parts_behind_a_blur_are_no_solution():
+    assert rejection_of_parts(2).code == ReasonCode.FEW_POINTS
+    assert not rejection_of_parts(3)
 
 
 def test_a_wide_search_offers_more_places_by_chance():
