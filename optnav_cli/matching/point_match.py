@@ -28,8 +28,7 @@ from catalog.correlation.similarity import Matcher, best_pair, match_similarity,
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.matching import pixel_blur
-from optnav_cli.matching.picture_pyramid import PicturePyramid
+from optnav_cli.matching.picture_pyramid import PicturePyramid, as_seen, blur_px
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.search_plan import NO_DISTORTION, SearchPlan
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, distinct_texts
@@ -167,8 +166,8 @@ def match_point(
     known, _ = _shares(sampled, border)
     if known < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
         return PointMatch(level, OUTSIDE)
-    blur_px = pixel_blur.sigma_px(camera)
-    template = pixel_blur.as_seen(sharp, pixels, blur_px)
+    lens_px = blur_px(camera)
+    template = as_seen(sharp, pixels, lens_px)
     if blur_nodes:
         even = plan.template_nodes % 2 == 0
         template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
@@ -208,7 +207,7 @@ def match_point(
 
     def lay() -> ReliefMatch | None:
         patterns = relief_patterns(around, posting, sharp)
-        seen = np.stack([pixel_blur.as_seen(each, pixels, blur_px) for each in patterns])
+        seen = np.stack([as_seen(each, pixels, lens_px) for each in patterns])
         return relief_match(match, template, seen, window, MARGIN_NODES)
 
     return replace(found, albedo=AlbedoFit(lay, placed))
