@@ -145,8 +145,8 @@ def _weights(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.floa
 
 def blur_px(camera: Camera) -> float:
     """Sigma of the blur of a camera's lens and pixels together, px."""
-    psf = ASSUMED_PSF_PX if camera.psf_sigma_px is None else camera.psf_sigma_px
-    return math.hypot(psf, PIXEL_SIGMA_PX)
+    known = camera.known_blur_px
+    return math.hypot(ASSUMED_PSF_PX, PIXEL_SIGMA_PX) if known is None else known[0]
 
 
 def as_seen(grid: Float32Array, pixels: FloatArray, sigma_px: float) -> Float32Array:

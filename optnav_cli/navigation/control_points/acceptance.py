@@ -13,7 +13,7 @@ The limits are fitted numbers, in FILE.
 
 from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -30,9 +30,6 @@ from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 FILE = "configs/models/acceptance.toml"
-# Parts of templates behind a blur, of which two hardly contradict each other: near Phobos two that
-# scored 0.7 and 0.9 put the camera off by 4 and 8 sigmas.
-FEWEST_PARTS = 3
 
 
 class _Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -64,6 +61,12 @@ class ScatterLimits(_Limits, frozen=True):
     parts: Positive
 
 
+class PartLimits(_Limits, frozen=True):
+    """How many parts of templates behind a blur carry a solution."""
+
+    fewest: Annotated[int, msgspec.Meta(ge=2)]
+
+
 class LightLimits(_Limits, frozen=True):
     """When the light contradicts the stated Sun."""
 
@@ -86,6 +89,7 @@ class AcceptanceLimits(_Limits, frozen=True):
     chance: ChanceLaw
     decades: DecadeLimits
     scatter: ScatterLimits
+    parts: PartLimits
     light: LightLimits
     prior: PriorLimits
 
@@ -168,9 +172,10 @@ def rejection_of_matches(
 
 def rejection_of_parts(used: int) -> Reason:
     """Why so many parts of templates behind a blur carry no solution; empty when they do."""
-    if used >= FEWEST_PARTS:
+    fewest = acceptance_limits().parts.fewest
+    if used >= fewest:
         return NO_REASON
-    text = f"{used} control points, seen in parts, agree; at least {FEWEST_PARTS} are needed"
+    text = f"{used} control points, seen in parts, agree; at least {fewest} are needed"
     return Reason(ReasonCode.FEW_POINTS, text)
 
 

@@ -270,7 +270,7 @@ def _expected_errors_px2(
     common = error_model.common_errors_px(points, frame.sun_body)
     squares = np.trace(own, axis1=1, axis2=2) / len(accepted(matches))
     squares += (common**2).sum(axis=(1, 2))
-    return dict(zip(kept, squares.tolist()))
+    return dict(zip(kept, squares.tolist(), strict=True))
 
 
 def _matched_points(
