@@ -9,8 +9,10 @@ with a prior on delta[0]. The defect c holds the whole disturbance so far, so v 
 a penalty on the change of a step alone, as in equation (16) of Tuchin's chapter 3, forgets it.
 
 `smooth` is a filter with the backward sweep of adjoint states (Bryson and Frazier; Rauch, Tung and
-Striebel give the same): neither the covariance nor F is inverted, so Q = 0 is no special case. A
-prior of more than some thousand sigmas of the result costs the first nodes' covariances digits.
+Striebel give the same): neither the covariance nor F is inverted, so Q = 0 is no special case.
+Covariances are the filter's joined with the information of what comes later, by roots: the
+difference P - P W P of the same sweep loses its digits where the filter knows a thousand times
+less than the result, and may come out as no covariance.
 `batch` is least squares by QR for Q = 0 (Akim and Eneev), `nuisance` the estimate of the last node
 alone, into whose weights the disturbances go with all blocks between measurements.
 """
@@ -130,13 +132,15 @@ def smooth(arc: LinearArc) -> SmoothedArc:
         filtered_d[i], filtered_p[i] = d, p
     if not (np.isfinite(filtered_d).all() and np.isfinite(filtered_p).all()):
         raise NoSolutionError("the filter's numbers are not finite; the fixes fit no orbit")
-    lam, info = np.zeros((n, columns)), np.zeros((n, n))
+    lam, info, later = np.zeros((n, columns)), np.zeros((n, n)), np.zeros((n, n))
     scores, information = np.empty((count - 1, n)), np.empty((count - 1, n, n))
     disturbances = np.empty((count - 1, n, columns))
     for i in range(count - 1, -1, -1):
         p = filtered_p[i]
         filtered_d[i] -= p @ lam
-        filtered_p[i] = p - p @ info @ p
+        filtered_p[i] = _joined(p, later)
+        for m in by_node[i]:
+            later = later + m.design.T @ _inverse(m.covariance) @ m.design
         for c, hy, hh in reversed(updates[i]):
             lam = c.T @ lam - hy
             info = hh + c.T @ info @ c
@@ -145,9 +149,22 @@ def smooth(arc: LinearArc) -> SmoothedArc:
             disturbances[i - 1] = -arc.noises[i - 1] @ lam
             f = arc.transitions[i - 1]
             lam, info = f.T @ lam, f.T @ info @ f
+            later = f.T @ np.linalg.solve(one + later @ arc.noises[i - 1], later) @ f
+            later = 0.5 * (later + later.T)
     return SmoothedArc(
         filtered_d, filtered_p, disturbances, chi_square, numbers, scores, information
     )
+
+
+def _joined(covariance: FloatArray, information: FloatArray) -> FloatArray:
+    """(covariance^-1 + information)^-1, both (n, n); with S S' the covariance S (1 + S' I S)^-1 S'."""
+    sigmas = np.sqrt(np.maximum(np.diagonal(covariance), np.finfo(np.float64).tiny))
+    values, axes = np.linalg.eigh(covariance / sigmas / sigmas[:, None])
+    root = sigmas[:, None] * axes * np.sqrt(np.maximum(values, 0.0))
+    inner = np.linalg.cholesky(np.eye(len(root)) + root.T @ information @ root)
+    joined = solve_triangular(inner, root.T, lower=True)
+    found: FloatArray = joined.T @ joined
+    return found
 
 
 def _inverse(covariance: FloatArray) -> FloatArray:

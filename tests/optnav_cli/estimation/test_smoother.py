@@ -69,6 +69,18 @@ def test_without_noise_the_smoother_is_batch_least_squares():
     assert found.chi_square == pytest.approx(wanted.chi_square, rel=1e-6)
 
 
+@pytest.mark.parametrize("density", [0.0, 1e-9])
+@pytest.mark.parametrize("prior_m", [1e5, 1e8])
+def test_covariances_keep_their_digits_however_open_the_first_state_is(density, prior_m):
+    """The difference of two large covariances loses them: sigmas of roots of negative numbers."""
+    found = smooth(arc(density, prior_m=prior_m)[0]).covariances
+    wanted = smooth(arc(density, prior_m=1e4)[0]).covariances
+    sigmas = np.sqrt(np.diagonal(wanted, axis1=1, axis2=2))
+    scale = sigmas[:, :, None] * sigmas[:, None]
+    assert (np.abs(found - wanted) < 1e-3 * scale).all()
+    assert np.linalg.eigvalsh(found / scale).min() > 0.0
+
+
 @pytest.mark.parametrize("density", [1e-9, 1e-7])
 def test_noise_in_the_weights_gives_the_filter_at_the_end_and_the_smoother_before(density):
     problem, _ = arc(density, offset_m=1e3, prior_m=1e3)
