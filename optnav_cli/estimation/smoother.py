@@ -157,7 +157,7 @@ def smooth(arc: LinearArc) -> SmoothedArc:
 
 
 def _joined(covariance: FloatArray, information: FloatArray) -> FloatArray:
-    """(covariance^-1 + information)^-1, both (n, n); with S S' the covariance S (1 + S' I S)^-1 S'."""
+    """(P^-1 + I)^-1 of a covariance P = S S' and an information I, (n, n): S (1 + S' I S)^-1 S'."""
     sigmas = np.sqrt(np.maximum(np.diagonal(covariance), np.finfo(np.float64).tiny))
     values, axes = np.linalg.eigh(covariance / sigmas / sigmas[:, None])
     root = sigmas[:, None] * axes * np.sqrt(np.maximum(values, 0.0))
