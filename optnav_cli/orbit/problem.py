@@ -162,8 +162,11 @@ class OrbitProblem:
 
         places = np.array([fix.position_m for fix in self.fixes]).reshape(-1, 3)
         stamps = np.array([fix.tdb_s for fix in self.fixes])
-        names = [(fix.run, fix.camera, fix.method) for fix in self.fixes]
-        self.shared = shared_errors(places, stamps, names, self.radius_m, self.shared_sizes)
+        covariances = np.array([fix.covariance_m2 for fix in self.fixes]).reshape(-1, 3, 3)
+        methods = [fix.method for fix in self.fixes]
+        self.shared = shared_errors(
+            places, covariances, stamps, methods, self.radius_m, self.shared_sizes
+        )
 
     def _node(self, time: float) -> int:
         return int(np.argmin(np.abs(self.times - time)))

@@ -3,7 +3,8 @@
 A map, a shape or a limb that is wrong moves all fixes by it alike, until other ground comes into
 view. So a share of each fix's covariance belongs to three numbers of its method that fade with the
 way over the body, a Gauss-Markov sequence: white errors alone would be averaged, and their mean
-would be called exact.
+would be called exact. Cameras that look at one time see the same ground by the same attitude: what
+the best of their fixes has in common the others have, too, and besides it errors of their own.
 """
 
 from collections.abc import Sequence
@@ -13,13 +14,14 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
-from scipy.linalg import sqrtm
+from scipy.linalg import eigh, sqrtm
 
 from catalog.arrays import FloatArray
 from catalog.config import load_toml, resource
 from catalog.geometry.vectors import angle_between
 
 FILE = "configs/models/orbit_fixes.toml"
+TOGETHER = 0.1  # lengths of fading between fixes that have the error of the best of them in common
 LEAST = 0.05  # correlation of neighbours below which errors are taken as independent
 
 
@@ -41,11 +43,14 @@ class SharedErrors:
     """The common errors of fixes, three numbers of unit variance a group.
 
     group  (fixes,) of each fix, -1: it errs for itself
-    share  of a fix's variance;  way (fixes,) over the body since the first, in lengths of fading
+    size   (fixes, 3, 3) covariance of which a share is common, a fix's own or that of a better one
+           seen together with it
+    share  of that variance;  way (fixes,) over the body since the first, in lengths of fading
     times  (fixes,) TDB s
     """
 
     group: list[int]
+    size: FloatArray
     share: float
     way: FloatArray
     times: FloatArray
@@ -68,21 +73,23 @@ class SharedErrors:
         group = self.group[number]
         if group < 0:
             return moved, covariance
-        moved[:, 3 * group : 3 * group + 3] = np.sqrt(self.share) * sqrtm(covariance).real
-        return moved, (1.0 - self.share) * covariance
+        size = self.size[number]
+        moved[:, 3 * group : 3 * group + 3] = np.sqrt(self.share) * sqrtm(size).real
+        return moved, covariance - self.share * size
 
 
 def shared_errors(
     places: FloatArray,
+    covariances: FloatArray,
     times: FloatArray,
-    names: Sequence[tuple[str, ...]],
+    methods: Sequence[str],
     radius_m: float,
     sizes: SharedErrorSizes | None = None,
 ) -> SharedErrors:
-    """Of fixes in the order of time: groups of one name whose neighbours see the same ground.
+    """Of fixes in the order of time: groups of one method, some of which see the same ground.
 
-    places  (n, 3) body-fixed, m;  times (n,) TDB s
-    names   what made each: its last word is the method, and empty where a fix errs for itself
+    places       (n, 3) body-fixed, m;  covariances (n, 3, 3), m^2;  times (n,) TDB s
+    methods      what made each, by any camera; empty where a fix errs for itself
 
     A picture from a low place shows little ground, and the next one other ground: the length of
     fading grows with the height up to a radius of the body.
@@ -92,11 +99,24 @@ def shared_errors(
     seen = np.radians(sizes.fade_deg) * np.clip(height / radius_m, 1e-3, 1.0)
     turned = angle_between(places[:-1], places[1:])
     way = np.concatenate([[0.0], np.cumsum(turned / np.minimum(seen[:-1], seen[1:]))])
-    kept: list[tuple[str, ...]] = []
-    for name in dict.fromkeys(names):
-        own = way[[k for k, one in enumerate(names) if one == name]]
-        near = len(own) > 1 and float(np.diff(own).min()) < -np.log(LEAST)
-        if near and name[-1] and sizes.share > 0.0:
-            kept.append(name)
-    group = [kept.index(name) if name in kept else -1 for name in names]
-    return SharedErrors(group, sizes.share, way[: len(places)], times)
+    way, size = way[: len(places)], np.array(covariances)
+    group = np.full(len(places), -1)
+    for method in dict.fromkeys(methods):
+        own = np.flatnonzero([one == method for one in methods])
+        near = len(own) > 1 and float(np.diff(way[own]).min()) < -np.log(LEAST)
+        if not (near and method and sizes.share > 0.0):
+            continue
+        group[own] = group.max() + 1
+        ends = np.searchsorted(way[own], [way[own] - TOGETHER, way[own] + TOGETHER])
+        for k, first, last in zip(own, *ends, strict=True):
+            for other in own[first:last]:
+                size[k] = _within_both(size[k], covariances[other])
+    return SharedErrors(group.tolist(), size, sizes.share, way, times)
+
+
+def _within_both(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The smaller of two covariances (3, 3) along each of the axes on which both are diagonal."""
+    ratios, axes = eigh(a, b)
+    back = np.linalg.inv(axes)
+    smaller: FloatArray = back.T @ (np.minimum(ratios, 1.0)[:, None] * back)
+    return smaller

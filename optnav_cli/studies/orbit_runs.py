@@ -36,7 +36,18 @@ from optnav_cli.studies.orbit_flights import SHARED
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 MOON = f'[body]\nname = "moon"\n\n[[dem]]\npath = "{flights.GLOBE}"\n\n[grid]\ncell_deg = 3.0\n'
-TURNED_DEG = (0.0, -25.0, 25.0, -50.0, 50.0, 75.0)  # of paths over the Moon: other ground
+TURNED_DEG = (
+    0.0,
+    -25.0,
+    25.0,
+    -50.0,
+    50.0,
+    75.0,
+    -75.0,
+    100.0,
+    -100.0,
+    125.0,
+)  # of paths over the Moon
 FRAMES = 24  # of a flight past Phobos but the first of each row: what near ones show is alike
 BEGIN = SharedErrorSizes(0.5, 5.0)  # of the search
 COLUMNS = columns(
@@ -235,10 +246,11 @@ def _shares(run_folder: Path, truth: Path) -> tuple[Cell, ...]:
     off = [np.linalg.solve(sqrtm(f.covariance_m2).real, f.position_m - true[f.file]) for f in fixes]
     places = np.array([fix.position_m for fix in fixes])
     times = np.array([fix.tdb_s for fix in fixes])
-    names = [(fix.run, fix.camera, fix.method) for fix in fixes]
+    covariances = np.array([fix.covariance_m2 for fix in fixes])
+    methods = [fix.method for fix in fixes]
 
     def less(sizes: SharedErrorSizes) -> float:
-        shared = shared_errors(places, times, names, found.body.radius_m, sizes)
+        shared = shared_errors(places, covariances, times, methods, found.body.radius_m, sizes)
         return -log_likelihood(np.array(off), np.array(shared.group), shared.way, shared.share)
 
     def of(numbers: FloatArray) -> SharedErrorSizes:

@@ -100,6 +100,8 @@ class SunwardSizes(_Sizes, frozen=True):
     """Of the shift away from the Sun, and of what is left of it."""
 
     bias_m: Positive
+    unexplained_m: Positive
+    high_sun: Positive
     left: Positive
 
 
@@ -274,10 +276,12 @@ def bias_px(
 
 def _sunward_m(points: MatchedPoints, sizes: PointErrorSizes) -> FloatArray:
     """How far the points are found away from the Sun, (n,) m."""
+    size = sizes.sunward
     elevation = np.clip(np.radians(points.sun_elevation_deg), MIN_SUN, np.pi / 2.0)
-    unexplained = 1.0 - np.clip(points.scores, 0.0, 1.0)
+    low = np.maximum(1.0 / np.tan(elevation) - size.high_sun, 0.0)
+    moved = size.bias_m + size.unexplained_m * (1.0 - np.clip(points.scores, 0.0, 1.0))
     known = points.unresolved_posting_m == 0.0  # behind a blur the sizes below hold instead
-    shifts: FloatArray = sizes.sunward.bias_m * unexplained / np.tan(elevation) * known
+    shifts: FloatArray = moved * _scale(points.finest_postings_m) * low * known
     return shifts
 
 

@@ -58,6 +58,47 @@ def test_the_fading_is_that_of_the_angle_about_the_body():
     assert np.prod(shared.fading(shared.times)) == pytest.approx(np.exp(-angle / 12.0), rel=1e-3)
 
 
+def test_cameras_that_look_at_one_time_have_the_better_ones_error_in_common():
+    fixes = named(flight().fixes)  # 5 minutes apart at 100 km
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    wide, narrow = np.diag([100.0, 100.0, 400.0]), turn @ np.diag([900.0, 900.0, 50.0]) @ turn.T
+    first = [replace(fix, camera="wide", covariance_m2=wide) for fix in fixes]
+    beside = [replace(fix, camera="narrow", covariance_m2=narrow) for fix in fixes]
+    shared = shared_of([f for pair in zip(first, beside, strict=True) for f in pair])
+    assert shared.group == [0] * len(first + beside)
+    assert (shared.fading(shared.times)[1::2] < 0.3).all()  # from one time to the next
+    moved, own = zip(*(shared.split(k, c) for k, c in enumerate((wide, narrow))), strict=True)
+    common = moved[0] @ moved[1].T / SIZES.share
+    for one, rest, whole in zip(moved, own, (wide, narrow), strict=True):
+        np.testing.assert_allclose(one @ one.T + rest, whole, atol=1e-9)
+        assert np.linalg.eigvalsh(rest)[0] > 0.0
+        assert np.linalg.eigvalsh(whole - common)[0] > -1e-9
+    np.testing.assert_allclose(np.diag(common)[:2], 100.0, rtol=0.5)  # what both know is less
+
+
+def test_an_orbit_by_two_cameras_that_err_alike_is_honest():
+    """Independent errors would call it a third better than it is by the first camera alone."""
+    squares: dict[float, list[float]] = {0.0: [], SIZES.share: []}
+    for seed in range(20):
+        flown, rng = flight(minutes=60.0, sigma_m=0.0), np.random.default_rng(seed)
+        fixes = []
+        for fix in flown.fixes:
+            common, more = 15.0 * rng.normal(size=3), 5.0 * rng.normal(size=3)
+            for camera, error, sigma in (("a", common, 15.0), ("b", common + more, 250.0**0.5)):
+                moved = replace(fix, camera=camera, file=f"{camera}_{fix.file}")
+                covariance = np.eye(3) * sigma**2
+                place = fix.position_m + error
+                fixes.append(replace(moved, position_m=place, covariance_m2=covariance))
+        middle = len(flown.fixes) // 2
+        for share, found in squares.items():
+            fit = fitted(named(fixes), SharedErrorSizes(share, 12.0))
+            error = (fit.trajectory.states[middle] - flown.states[middle])[:3]
+            squares[share].append(error @ np.linalg.solve(fit.covariances[middle, :3, :3], error))
+    nees = {share: np.mean(found) / 3.0 for share, found in squares.items()}
+    assert 0.7 < nees[SIZES.share] < 1.4
+    assert nees[0.0] > 1.4
+
+
 @pytest.mark.parametrize("parameters", [(), (ParameterSettings("acceleration"),)])
 def test_an_orbit_by_fixes_with_one_error_does_not_call_it_averaged(parameters):
     """25 fixes moved alike: white errors are called 5 times smaller, these are not."""
