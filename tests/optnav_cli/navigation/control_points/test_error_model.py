@@ -30,7 +30,7 @@ def sun(elevation_deg, azimuth_deg=90.0):
     return ENU @ np.array([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)])
 
 
-def matched(offsets, score=1.0, unresolved_posting_m=0.0, levels=1.0, skipped_m=0.0):
+def matched(offsets, score=1.0, unresolved_posting_m=0.0, levels=1.0, skipped_m=0.0, sun_deg=30.0):
     places = points(offsets)
     n = len(places)
     ground, finest = np.tile(BY_GROUND, (n, 1, 1)), np.full(n, POSTING_M)
@@ -39,7 +39,7 @@ def matched(offsets, score=1.0, unresolved_posting_m=0.0, levels=1.0, skipped_m=
         places,
         ground,
         np.full(n, score),
-        np.full(n, 30.0),
+        np.full(n, sun_deg),
         POSTING_M * levels * np.ones(n),
         finest,
         unresolved,
@@ -107,7 +107,8 @@ def test_what_a_shape_model_hides_adds_to_what_is_common_and_to_what_is_a_points
     grown = np.flatnonzero((growth > 1e-9).all(axis=0))
     # the rise that is the same on all sides, and both shifts
     assert {12, 15, 16} <= set(grown.tolist())
-    assert (growth > -1e-12).all()
+    # what is left of the shift away from the Sun is not known behind a blur: the shifts stand for it
+    assert (np.delete(growth, 17, axis=1) > -1e-12).all()
     flat = [own_covariances_px2(matched(SQUARE, unresolved_posting_m=m)) for m in (0.0, 300.0)]
     assert (np.linalg.eigvalsh(flat[1] - flat[0]) > 0.0).all()
 
@@ -142,16 +143,19 @@ def test_the_pattern_moves_along_the_sun_more_than_across_it():
     along, across = errors(SQUARE)[0, :, 15], errors(SQUARE)[0, :, 16]
     assert abs(along @ across) < 1e-9
     assert abs(along[1]) < 1e-2 * abs(along[0])  # the Sun stands in the east
-    assert np.linalg.norm(along) > 2.0 * np.linalg.norm(across)
+    assert np.linalg.norm(along) > np.linalg.norm(across)
 
 
-def test_a_pattern_of_poor_score_is_found_away_from_the_sun():
-    """6 m for a score of 0 and a cotangent of 1; the Sun stands in the east, 30 deg high."""
-    bias = bias_px(matched(SQUARE, score=0.5), sun(30.0))
-    assert bias[:, 0] == pytest.approx(-6.0 * 0.5 * np.sqrt(3.0), rel=0.01)
-    assert bias_px(matched(SQUARE), sun(30.0)) == pytest.approx(np.zeros((4, 2)))
-    hidden = matched(SQUARE, score=0.5, unresolved_posting_m=319.0)
-    assert bias_px(hidden, sun(30.0)) == pytest.approx(np.zeros((4, 2)))
+def test_a_pattern_is_found_away_from_a_low_sun():
+    """0.9 m, and 15 m for a score of 0, for a cotangent of 1 above 1.5; the Sun is in the east."""
+    size = 1.0 / np.tan(np.radians(20.0)) - 1.5
+    for score, moved_m in ((1.0, 0.9), (0.5, 8.4)):
+        bias = bias_px(matched(SQUARE, score=score, sun_deg=20.0), sun(20.0))
+        assert bias[:, 0] == pytest.approx(-moved_m * size, rel=0.02)  # 1 px a metre
+    high = matched(SQUARE, score=0.5, sun_deg=40.0)
+    assert bias_px(high, sun(40.0)) == pytest.approx(np.zeros((4, 2)))
+    hidden = matched(SQUARE, score=0.5, sun_deg=20.0, unresolved_posting_m=319.0)
+    assert bias_px(hidden, sun(20.0)) == pytest.approx(np.zeros((4, 2)))
 
 
 def test_a_level_coarser_than_the_picture_resolves_errs_by_what_it_skips():
