@@ -90,7 +90,7 @@ def test_an_orbit_by_two_cameras_that_err_alike_is_honest():
                 place = fix.position_m + error
                 fixes.append(replace(moved, position_m=place, covariance_m2=covariance))
         middle = len(flown.fixes) // 2
-        for share, found in squares.items():
+        for share in squares:
             fit = fitted(named(fixes), SharedErrorSizes(share, 12.0))
             error = (fit.trajectory.states[middle] - flown.states[middle])[:3]
             squares[share].append(error @ np.linalg.solve(fit.covariances[middle, :3, :3], error))

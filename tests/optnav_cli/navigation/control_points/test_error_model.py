@@ -107,7 +107,7 @@ def test_what_a_shape_model_hides_adds_to_what_is_common_and_to_what_is_a_points
     grown = np.flatnonzero((growth > 1e-9).all(axis=0))
     # the rise that is the same on all sides, and both shifts
     assert {12, 15, 16} <= set(grown.tolist())
-    # what is left of the shift away from the Sun is not known behind a blur: the shifts stand for it
+    # behind a blur the shifts stand for what is left of that away from the Sun
     assert (np.delete(growth, 17, axis=1) > -1e-12).all()
     flat = [own_covariances_px2(matched(SQUARE, unresolved_posting_m=m)) for m in (0.0, 300.0)]
     assert (np.linalg.eigvalsh(flat[1] - flat[0]) > 0.0).all()
