@@ -57,7 +57,14 @@ FOLDERS = {
 }
 # Scenarios with their catalogs: of one the first frames are fitted with, the others only score.
 FITTED = {"real_unk_200km": "tycho"}
-SCORED = {"real_unk_400km": "tycho", "real_shnk_200km": "tycho", "real_farside_400km": "farside"}
+SCORED = {
+    "real_unk_400km": "tycho",
+    "real_shnk_200km": "tycho",
+    "real_farside_400km": "farside",
+    "unk_200km": "tycho",
+    "unk_400km": "tycho",
+}
+OWN_FRAMES = 15  # at most, of a scenario over the simulator's own ground
 CELL_DEG = 1.0
 FIT_SHARE = 0.6  # of a scenario's frames, the first: of the first three of five grounds
 SEARCHED_M = 50.0  # 1 sigma of the true position, for the search
@@ -116,7 +123,8 @@ def run(
     fit: list[TrueFrame] = []
     held: list[TrueFrame] = []
     for scenario, catalog in chosen.items():
-        found = gathered(folder, scenario, catalog, frames, progress)
+        most = frames if scenario.startswith("real") else min(frames or OWN_FRAMES, OWN_FRAMES)
+        found = gathered(folder, scenario, catalog, most, progress)
         first = round(FIT_SHARE * len(found)) if scenario in FITTED else 0
         fit += found[:first]
         held += found[first:]
@@ -335,7 +343,7 @@ def report(result: AnyResult) -> StudyReport:
     for ground, frames in (("fitted with", result.fit), ("held back", result.held)):
         for name in dict.fromkeys(frame.case for frame in frames):
             own = [frame for frame in frames if frame.case == name]
-            kind = ground if name in FITTED else "other ground"
+            kind = ground if name in FITTED else "other flight"
             before, after = (
                 np.array([position_nees(frame, s) for frame in own])
                 for s in (result.old, result.new)

@@ -36,7 +36,7 @@ from optnav_cli.studies.orbit_flights import SHARED
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 MOON = f'[body]\nname = "moon"\n\n[[dem]]\npath = "{flights.GLOBE}"\n\n[grid]\ncell_deg = 3.0\n'
-TURNED_DEG = (
+TURNED_DEG = (0.0, -25.0, 25.0, -50.0, 50.0, 75.0, -75.0, 100.0, -100.0, 125.0)  # of orbits
     0.0,
     -25.0,
     25.0,
