@@ -36,18 +36,8 @@ from optnav_cli.studies.orbit_flights import SHARED
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 MOON = f'[body]\nname = "moon"\n\n[[dem]]\npath = "{flights.GLOBE}"\n\n[grid]\ncell_deg = 3.0\n'
-TURNED_DEG = (0.0, -25.0, 25.0, -50.0, 50.0, 75.0, -75.0, 100.0, -100.0, 125.0)  # of orbits
-    0.0,
-    -25.0,
-    25.0,
-    -50.0,
-    50.0,
-    75.0,
-    -75.0,
-    100.0,
-    -100.0,
-    125.0,
-)  # of paths over the Moon
+# Of paths over the Moon: other ground.
+TURNED_DEG = (0.0, -25.0, 25.0, -50.0, 50.0, 75.0, -75.0, 100.0, -100.0, 125.0)
 FRAMES = 24  # of a flight past Phobos but the first of each row: what near ones show is alike
 BEGIN = SharedErrorSizes(0.5, 5.0)  # of the search
 COLUMNS = columns(
