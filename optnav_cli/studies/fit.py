@@ -55,14 +55,14 @@ FOLDERS = {
     "horizon": "optnav-horizon",
     "albedo": "",  # of none
 }
-# Scenarios with their catalogs: of one the first frames are fitted with, the others only score.
-FITTED = {"real_unk_200km": "tycho"}
+# Scenarios with their catalogs: of some the first frames are fitted with, the others only score.
+# A model that errs, one that is right but for what lies below its 118 m, and one below its 948 m.
+FITTED = {"real_unk_200km": "tycho", "unk_400km": "tycho", "orbit_400km": "moon"}
 SCORED = {
     "real_unk_400km": "tycho",
     "real_shnk_200km": "tycho",
     "real_farside_400km": "farside",
     "unk_200km": "tycho",
-    "unk_400km": "tycho",
 }
 OWN_FRAMES = 15  # at most, of a scenario over the simulator's own ground
 CELL_DEG = 1.0
@@ -146,7 +146,10 @@ def gathered(
     Arguments otherwise as `run`
     """
     pictures = flights.shipped_pictures(folder, name, frames, progress)
-    place = navigation.case_catalog(folder, catalog, CELL_DEG, progress)
+    if catalog == "moon":
+        place = flights.built_catalog(folder / "moon.toml", flights.MOON, progress)
+    else:
+        place = navigation.case_catalog(folder, catalog, CELL_DEG, progress)
     worker = FrameWorker(RunInputs(pictures, [place]))
     truths = {t.file: t for t in read_truth(pictures / "truth.csv", worker.folder.attitude)}
     found = []

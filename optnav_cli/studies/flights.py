@@ -34,6 +34,8 @@ from optnav_cli.simulation.scenario_base import ScenarioBase
 from optnav_cli.studies.tables import Cell, StudyTable, columns
 
 GLOBE = "shared:moon/moon_gld100_32ppd.tif"  # the ground of shipped scenarios
+# Its catalog, 948 m with wide cells.
+MOON = f'[body]\nname = "moon"\n\n[[dem]]\npath = "{GLOBE}"\n\n[grid]\ncell_deg = 3.0\n'
 STAR_SENSOR_ARCSEC = 10.0
 # What 10 arc seconds of attitude cost on the ground, both axes: 1.41 x 10" = 0.069 m a kilometre.
 STAR_SENSOR_M_PER_KM = 0.07

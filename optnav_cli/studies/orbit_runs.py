@@ -35,7 +35,6 @@ from optnav_cli.studies import flights
 from optnav_cli.studies.orbit_flights import SHARED
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
-MOON = f'[body]\nname = "moon"\n\n[[dem]]\npath = "{flights.GLOBE}"\n\n[grid]\ncell_deg = 3.0\n'
 # Of paths over the Moon: other ground.
 TURNED_DEG = (0.0, -25.0, 25.0, -50.0, 50.0, 75.0, -75.0, 100.0, -100.0, 125.0)
 FRAMES = 24  # of a flight past Phobos but the first of each row: what near ones show is alike
@@ -206,7 +205,7 @@ def _scenario(shipped: str, changes: Changes, changed: Path) -> Path:
 
 def _catalog(body: str, output: Path, progress: Progress) -> Path:
     if body == "moon":
-        return flights.built_catalog(output / "moon.toml", MOON, progress)
+        return flights.built_catalog(output / "moon.toml", flights.MOON, progress)
     catalog = output / f"{body}.gpkg"
     build.run(resource(f"configs/catalogs/{body}.toml"), output=catalog, progress=progress)
     return catalog
