@@ -176,7 +176,8 @@ class WindowField:
         few = middles[:, None] + span * np.array(list(product((-0.5, 0.0, 0.5), repeat=2)))
         away = self._points.distances_m(self.map.points(few[..., 0], few[..., 1], 0.0))
         cell = float(np.radians(self._points.layers[0].grid.step_deg)) * self._points.radius_m
-        return np.asarray((away < CELLS * cell).all(axis=1))
+        farthest: FloatArray = away.max(axis=1)
+        return farthest < CELLS * cell
 
     def _made(self, key: WindowKey) -> Window | None:
         posting = self.posting_m(key.level)

@@ -40,7 +40,7 @@ ACCURACY = {
         "navigation 0 0 horizontal height"
     ),
     "No prior at all, fisheye at 200 km: {} m horizontal, {} m height.": (
-        "autonomous 0 1 horizontal height"
+        "autonomous 0 1 horizontal_rms_m height_rms_m"
     ),
     "The limb alone, fisheye at 100 km: {} m horizontal, {} m height.": (
         "horizon 0 1 with_relief_below_worst height_2"
@@ -53,7 +53,7 @@ ACCURACY = {
         "descent 0 1 solved frames horizontal_a_component_m height_m nees"
     ),
     "The limb of Phobos, 100 km from its centre: {} m across the line of sight, {} % of range.": (
-        "phobos 0 1 across_the_line_of_sight range"
+        "phobos 0 3 across_rms_m range_share"
     ),
     "Pads for landing by shading, where {} % of the ground is above 7°, Sun at 20°: {} %, "
     "expected {} %.": ("hazard 0 2 area_7 pads_7 expected"),
@@ -185,14 +185,23 @@ def _stored(path: Path, command: str) -> str:
     report = _report(path)
     words = [command.format(report.study)]
     given = {name: value for name, value in report.arguments.items() if value not in (None, "")}
-    words += [
-        f"--{name}" if value is True else f"--{name} {shlex.quote(str(value))}"
-        for name, value in given.items()
-        if value is not False
-    ]
+    for name, value in given.items():
+        option = "" if name in _bare(report.study) else f"--{name} "
+        if value is not False:
+            words.append(f"--{name}" if value is True else f"{option}{shlex.quote(str(value))}")
     origin = f"From the run of `{' '.join(words)}` at commit {report.commit}, {report.date}."
-    shown = [f"*{table.title}*\n\n{table.to_markdown()}" for table in report.tables]
+    titles = [f"*{table.title}*\n\n" if table.title else "" for table in report.tables]
+    shown = [f"{t}{table.to_markdown()}" for t, table in zip(titles, report.tables, strict=True)]
     return "\n\n".join([*shown, *report.notes, origin])
+
+
+def _bare(study: str) -> list[str | None]:
+    """Arguments of a study that no option names."""
+    context = click.Context(cli)
+    studies = cli.get_command(context, "study")
+    assert isinstance(studies, click.Group)
+    command = studies.get_command(context, study)
+    return [p.name for p in command.params if isinstance(p, click.Argument)] if command else []
 
 
 def _listed(texts: Mapping[str, str]) -> str:

@@ -1,5 +1,6 @@
 """Pictures of picked points, stars and a cylinder for the README, by the commands it shows."""
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,7 @@ STAR_FRAME, STARS_PX = "frame_0005.png", 900
 def drawn(work: Path, readme: Path) -> Iterator[tuple[Path, str]]:
     """Each picture with its caption."""
     picked, run = work / "picked", work / "picked-run"
+    shutil.rmtree(picked, ignore_errors=True)  # a template is written into no folder that has files
     optnav("config", "template", "points", "-o", str(picked))
     optnav("navigate", str(picked), "-o", str(run))
     optnav("report", str(run), "-o", str(readme / "picked.svg"))
