@@ -31,6 +31,7 @@ class DiscErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     blur_centre: Positive
     law_prior: tuple[Positive, Positive, Positive, Positive, Positive]
     figure: Positive
+    law: Positive
     relief: Positive
     ellipsoid: Positive
     shadow_power: Positive

@@ -25,6 +25,7 @@ from optnav_cli.navigation.neighbour import CameraView
 from optnav_cli.reasons import Reason, ReasonCode, distinct_texts
 
 MAX_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
+SMALL_PX = 10.0  # across: noise and blur say more of such a disc than how its brightness falls off
 MAX_MISFIT = 5.0  # sigmas of the three second moments together
 SMALL_ANGLE = 1e-5
 
@@ -59,9 +60,11 @@ def navigate(
     body_from_camera = camera_from_body.inv().as_matrix()
     pixel_from_angle, scale, axes = _tangent(camera, towards, sun)
     sizes = disc_sizes()
-    shape_sigma = sizes.figure
+    share = np.cos(0.5 * phase) ** 2
+    lit_px = 4.0 * np.sqrt(max(0.5 * (disc.second[0] + disc.second[1]), 0.0))  # if lit evenly
+    seen_law = sizes.law * np.sin(0.5 * phase) * (1.0 - SMALL_PX / max(lit_px, SMALL_PX))
+    shape_sigma = float(np.hypot(sizes.figure, seen_law))
     if not is_round(body):
-        share = np.cos(0.5 * phase) ** 2
         shape_sigma = (
             sizes.ellipsoid if relief is None else sizes.relief / share**sizes.shadow_power
         )
