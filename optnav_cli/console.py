@@ -246,7 +246,7 @@ class _LineStage:
     def close(self) -> None:
         took = time.monotonic() - self.started
         rate = f" ({speed(self.done / took, self.unit)})" if took >= 1.0 and self.done else ""
-        kept = f"; {self.kept} kept from earlier runs" if self.kept else ""
+        kept = f"; {self.kept} done before" if self.kept else ""
         done = f"{self.done} {plural(self.unit, self.done)} in {duration(took)}"
         _log.info("%s: %s%s%s", self.name, done, rate, kept)
 

@@ -138,7 +138,7 @@ def test_what_was_done_in_an_earlier_run_does_not_count_as_speed(
     lines = capsys.readouterr().err.splitlines()
     assert lines[1:] == [
         "optnav: check: 960 of 1000 cells (96 %), 1.0 cells/s, 40 s left",
-        "optnav: check: 100 cells in 1 min 40 s (1.0 cells/s); 900 kept from earlier runs",
+        "optnav: check: 100 cells in 1 min 40 s (1.0 cells/s); 900 done before",
     ]
 
 

@@ -174,7 +174,7 @@ def test_a_killed_command_goes_on_where_it_was(flight, undisturbed, tmp_path):
     wait_for_the_end_of(process.pid, 10.0)
     assert process.returncode == -signal.SIGKILL
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert "kept from earlier runs" in done.stderr
+    assert "done before" in done.stderr
     assert files_of(tmp_path / "run") == undisturbed
 
 
