@@ -117,13 +117,16 @@ def commands() -> str:
 
 def subcommands(group: str) -> str:
     """Every command of a group with its short help."""
+    found = _commands_of(group).items()
+    return _listed({f"optnav {group} {name}": sub.get_short_help_str(200) for name, sub in found})
+
+
+def _commands_of(group: str) -> dict[str, click.Command]:
     context = click.Context(cli)
     found = cli.get_command(context, group)
     assert isinstance(found, click.Group)
     subs = {name: found.get_command(context, name) for name in found.list_commands(context)}
-    return _listed(
-        {f"optnav {group} {name}": sub.get_short_help_str(200) for name, sub in subs.items() if sub}
-    )
+    return {name: sub for name, sub in subs.items() if sub}
 
 
 def configs(folder: str) -> str:
@@ -185,23 +188,16 @@ def _stored(path: Path, command: str) -> str:
     report = _report(path)
     words = [command.format(report.study)]
     given = {name: value for name, value in report.arguments.items() if value not in (None, "")}
+    study = _commands_of("study").get(report.study)
+    bare = [p.name for p in study.params if isinstance(p, click.Argument)] if study else []
     for name, value in given.items():
-        option = "" if name in _bare(report.study) else f"--{name} "
+        option = "" if name in bare else f"--{name} "
         if value is not False:
             words.append(f"--{name}" if value is True else f"{option}{shlex.quote(str(value))}")
     origin = f"From the run of `{' '.join(words)}` at commit {report.commit}, {report.date}."
     titles = [f"*{table.title}*\n\n" if table.title else "" for table in report.tables]
     shown = [f"{t}{table.to_markdown()}" for t, table in zip(titles, report.tables, strict=True)]
     return "\n\n".join([*shown, *report.notes, origin])
-
-
-def _bare(study: str) -> list[str | None]:
-    """Arguments of a study that no option names."""
-    context = click.Context(cli)
-    studies = cli.get_command(context, "study")
-    assert isinstance(studies, click.Group)
-    command = studies.get_command(context, study)
-    return [p.name for p in command.params if isinstance(p, click.Argument)] if command else []
 
 
 def _listed(texts: Mapping[str, str]) -> str:
