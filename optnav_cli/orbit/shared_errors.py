@@ -22,6 +22,9 @@ from catalog.geometry.vectors import angle_between
 
 FILE = "configs/models/orbit_fixes.toml"
 TOGETHER = 0.1  # lengths of fading between fixes that have the error of the best of them in common
+MAX_TOGETHER = (
+    8  # such fixes before and after one: more cameras than a craft has, few of a dense arc
+)
 LEAST = 0.05  # correlation of neighbours below which errors are taken as independent
 
 
@@ -108,9 +111,11 @@ def shared_errors(
             continue
         group[own] = group.max() + 1
         ends = np.searchsorted(way[own], [way[own] - TOGETHER, way[own] + TOGETHER])
-        for k, first, last in zip(own, *ends, strict=True):
+        for number, (k, first, last) in enumerate(zip(own, *ends, strict=True)):
+            first, last = max(first, number - MAX_TOGETHER), min(last, number + MAX_TOGETHER + 1)
             for other in own[first:last]:
-                size[k] = _within_both(size[k], covariances[other])
+                if other != k:
+                    size[k] = _within_both(size[k], covariances[other])
     return SharedErrors(group.tolist(), size, sizes.share, way, times)
 
 

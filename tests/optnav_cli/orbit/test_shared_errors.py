@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from optnav_cli.orbit import shared_errors
 from optnav_cli.orbit.fit import densify, fit_orbit
 from optnav_cli.orbit.motion import ArcMotion, OrbitNoiseSizes, rnb_of
 from optnav_cli.orbit.problem import OrbitProblem
@@ -74,6 +75,17 @@ def test_cameras_that_look_at_one_time_have_the_better_ones_error_in_common():
         assert np.linalg.eigvalsh(rest)[0] > 0.0
         assert np.linalg.eigvalsh(whole - common)[0] > -1e-9
     np.testing.assert_allclose(np.diag(common)[:2], 100.0, rtol=0.5)  # what both know is less
+
+
+def test_a_long_arc_from_afar_looks_at_few_neighbours_of_each_fix(monkeypatch):
+    """From afar all fixes see the same ground: each with each would be a million pairs."""
+    calls = []
+    within = shared_errors._within_both
+    monkeypatch.setattr(shared_errors, "_within_both", lambda a, b: calls.append(1) or within(a, b))
+    fixes = named(flight(minutes=10.0, every_s=60.0, height_m=HIGH_M).fixes)
+    crowd = [replace(fix, tdb_s=fix.tdb_s + 1e-3 * k) for k in range(100) for fix in fixes[:1]]
+    assert shared_of(crowd).group == [0] * 100
+    assert len(calls) <= 100 * 2 * shared_errors.MAX_TOGETHER
 
 
 def test_an_orbit_by_two_cameras_that_err_alike_is_honest():
