@@ -80,12 +80,12 @@ def _past_phobos(
 
 
 def _over_the_moon(number: int, node_deg: float) -> Changes:
-    """Moved by the field that orbits are fitted with, and by what is wrong with that."""
+    """Another flight of two hours."""
     return (
         ("seed = 5500", f"seed = {5500 + number}"),
         ("seeds = [112]", f"seeds = [{112 + number}]"),
         ("node_deg = 120.0", f"node_deg = {node_deg}"),
-        ("frames = 118", "frames = 14\ndegree = 50"),
+        ("frames = 118", "frames = 14"),
         ("spacing_s = 150.0", "spacing_s = 600.0"),
     )
 
