@@ -70,6 +70,7 @@ def main(
         values.freeze()
         click.echo(values.PLACE)
     captions = {}
+    work.mkdir(parents=True, exist_ok=True)
     if draw:
         for name, (picture, caption) in _pictures(work).items():
             path, captions[name] = README / f"{name}.png", caption
