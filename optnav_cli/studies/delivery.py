@@ -85,10 +85,10 @@ def _case(found: DeliveryFigures, name: str, shipped: str, cut: int, seed: int) 
     inside = np.mean([box.holds(f).mean() for box, f in zip(boxes, held.errors, strict=True)])
     bound, total = float(boxes[-1].spent.max()), float(np.percentile(trials.total, SHARE))
     head = (len(task.corrections), task.corrections[0].condition)
-    kept = held.total <= bound
-    most = float(held.total.max())
+    spent = held.total
+    most = float(spent.max())
     drawn = (float(trials.total.max()), most, most / total)
-    share = 100.0 * min(float(inside), float(kept.mean()))
+    share = 100.0 * min(float(inside), float((spent <= bound).mean()))
     reached = _reached(task, seed)
     ratios = (bound / total, reached / total)
     found.spent.append((name, *head, bound, reached, total, *ratios, *drawn, share))
