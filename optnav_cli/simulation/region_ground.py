@@ -82,12 +82,13 @@ class TruthTerrain:
         first = self._sources[0]
         inset = first.posting_m / body.radius_m
         west, south, east, north = first.latlon_bounds()
-        self.box: Box = (west + inset, south + inset, east - inset, north - inset)
+        self._known: Box = (west + inset, south + inset, east - inset, north - inset)
         if max(abs(south), abs(north)) > POLAR_LATITUDE:
             south, north = max(south, -POLAR_LATITUDE), min(north, POLAR_LATITUDE)
-            self.box = (self.box[0], south, self.box[2], north)
+            self._known = (self._known[0], south, self._known[2], north)
         self.posting_m = first.posting_m
         self._stretch = 1.0 / float(np.cos(0.5 * (south + north)))
+        self.box = self._with_border(self._known, first.wraps)
         self._tiles: Cache[tuple[int | None, int, int, int], Float32Array] = Cache(KEPT_TILES)
         self._windows: Cache[tuple[int | None, int, Box], Ground] = Cache(KEPT_WINDOWS)
         seam = 0.5 * (self.box[0] + self.box[2]) + np.pi
@@ -184,7 +185,7 @@ class TruthTerrain:
             share = self._share(source, lat, lon)
             if not share.any():
                 continue
-            own = self._source_heights(source, lat, lon) + wrong
+            own = self._source_heights(source, *self._nearest(source, lat, lon)) + wrong
             # at the model's own posting the relief below it has no place
             detail = self._details[seed] if number == 0 and factor > 1 else None
             if detail is not None:
@@ -195,7 +196,7 @@ class TruthTerrain:
 
     def _slopes(self) -> SlopeMap:
         """Slopes of the first model."""
-        west, south, east, north = self.box
+        west, south, east, north = self._known
         step = max(SLOPE_BASE_M, self.posting_m) / self.body.radius_m
         step_lon = step * self._stretch
         lat = north - step * np.arange(max(4, int((north - south) / step)), dtype=np.float64)
@@ -208,19 +209,45 @@ class TruthTerrain:
         slopes = rms_slope(np.concatenate(parts), step * radius, step_lon * radius * np.cos(lat))
         return SlopeMap(slopes, float(lat[0]), float(lon[0]), step, step_lon)
 
-    def _share(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> FloatArray:
-        """(rows, cols) 1 inside a model, 0 outside, rising smoothly over FEATHER_M within."""
+    def _with_border(self, box: Box, wraps: bool) -> Box:
+        """A box and FEATHER_M about it."""
+        west, south, east, north = box
+        down = FEATHER_M / self.body.radius_m
+        across = 0.0 if wraps else down * self._stretch
+        south, north = max(south - down, -0.5 * np.pi), min(north + down, 0.5 * np.pi)
+        return west - across, south, east + across, north
+
+    def _reach(
+        self, source: DemSource, lat: FloatArray, lon: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """How far in a model parallels and meridians lie, and those nearest in it, rad."""
         west, south, east, north = source.latlon_bounds()
         inset = source.posting_m / self.body.radius_m
-        down = np.minimum(north - lat, lat - south) - inset
-        across = np.full(lon.size, np.inf)
-        if not source.wraps:
-            offset = np.mod(lon - 0.5 * (west + east) + np.pi, 2.0 * np.pi) - np.pi
-            across = (0.5 * (east - west) - np.abs(offset) - inset) / self._stretch
+        south, north = south + inset, north - inset
+        down = np.minimum(north - lat, lat - south)
+        if source.wraps:
+            return down, np.full(lon.size, np.inf), np.clip(lat, south, north), lon
+        offset = np.mod(lon - 0.5 * (west + east) + np.pi, 2.0 * np.pi) - np.pi
+        half = 0.5 * (east - west) - inset
+        nearest = np.where(np.abs(offset) > half, lon + np.copysign(half, offset) - offset, lon)
+        return down, (half - np.abs(offset)) / self._stretch, np.clip(lat, south, north), nearest
+
+    def _share(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> FloatArray:
+        """(rows, cols) 1 in a model, falling smoothly to 0 over FEATHER_M outside.
+
+        Catalogs are made from the whole model, so the truth is the model's up to its edge.
+        """
+        down, across, _, _ = self._reach(source, lat, lon)
         metres = np.minimum(down[:, None], across[None, :]) * self.body.radius_m
-        x = np.clip(metres / FEATHER_M, 0.0, 1.0)
+        x = np.clip(1.0 + metres / FEATHER_M, 0.0, 1.0)
         share: FloatArray = x * x * (3.0 - 2.0 * x)
         return share
+
+    def _nearest(
+        self, source: DemSource, lat: FloatArray, lon: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Parallels and meridians, those outside of a model moved to its edge."""
+        return self._reach(source, lat, lon)[2:]
 
     def _source_heights(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> Float32Array:
         """Spline heights of one model at the nodes of a tile, NaN beside holes."""
