@@ -176,6 +176,17 @@ class TerrainErrorModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         resolution = stated.resolution_km or POSTINGS_RESOLVED * posting_m / 1e3
         return cls(stated.error_m, resolution, BOX_KM, "stated in the build config")
 
+    @property
+    def against_gld100(self) -> float:
+        """What frames leave over of this model, as a share of what they leave of GLD100.
+
+        Relief that a model lacks counts as relief that it has wrongly: error and resolution are
+        taken against those of GLD100 and added in squares.
+        """
+        known = terrain_laws().product["gld100"]
+        parts = self.error_m / known.error_m, self.resolution_km / known.resolution_km
+        return math.hypot(*parts) / math.sqrt(2.0)
+
     def point_sigma_m(self, template_size_m: float, slope: float) -> TemplateSigma:
         """The error of the place of one matched template that comes from the model alone.
 

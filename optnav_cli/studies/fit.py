@@ -34,6 +34,7 @@ from optnav_cli.navigation.control_points.error_model import (
     FILE,
     MatchedPoints,
     PointErrorSizes,
+    scatter_shares,
     shipped_sizes,
 )
 from optnav_cli.navigation.control_points.expectation import FrameContext, expected, select_evenly
@@ -56,8 +57,15 @@ FOLDERS = {
     "albedo": "",  # of none
 }
 # Scenarios with their catalogs: of some the first frames are fitted with, the others only score.
-# A model that errs, one that is right but for what lies below its 118 m, and one below its 948 m.
-FITTED = {"real_unk_200km": "tycho", "unk_400km": "tycho", "orbit_400km": "moon"}
+# A model that errs, one that is right but for what lies below its 118 m, one below its 948 m, one
+# that is right under albedo and one that errs less and says so.
+FITTED = {
+    "real_unk_200km": "tycho",
+    "unk_400km": "tycho",
+    "orbit_400km": "moon",
+    "real_unk_400km_right": "tycho",
+    "real_unk_400km_better": "tycho",
+}
 SCORED = {
     "real_unk_400km": "tycho",
     "real_shnk_200km": "tycho",
@@ -149,7 +157,8 @@ def gathered(
     if catalog == "moon":
         place = flights.built_catalog(folder / "moon.toml", flights.MOON, progress)
     else:
-        place = navigation.case_catalog(folder, catalog, CELL_DEG, progress)
+        stated = flights.points_error_of(name)
+        place = navigation.case_catalog(folder, catalog, CELL_DEG, stated, progress)
     worker = FrameWorker(RunInputs(pictures, [place]))
     truths = {t.file: t for t in read_truth(pictures / "truth.csv", worker.folder.attitude)}
     found = []
@@ -233,7 +242,7 @@ def _errors(
     common to all (n, 2, k).
     """
     seen, common = frame.matched.weighed(sizes)
-    shares = sizes.common.scatter_shift, sizes.common.scatter_stretch
+    shares = scatter_shares(frame.matched.errors, sizes)
     errors = errors_of_scatter(seen, factor, *shares)
     if common is not None:
         errors = np.concatenate([errors, common], axis=2)

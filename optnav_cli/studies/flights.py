@@ -52,9 +52,22 @@ def ground_of(scenario: str) -> str:
     return GROUNDS[0] if scenario.startswith("real_") else GROUNDS[1]
 
 
+# What is stated of models of 118 m that are right but for relief below their nodes, and of a better
+# one than GLD100; where nothing is, control points take GLD100's.
+RIGHT = StatedError(error_m=0.5)
+BETTER = StatedError(error_m=7.0, resolution_km=0.4)
+
+
 def stated_error_of(scenario: str) -> StatedError:
-    """What is stated of the model's error that a shipped scenario flies over: that of real_*."""
+    """What is stated of the relief's error that a shipped scenario flies over: that of real_*."""
     return StatedError("gld100") if ground_of(scenario) == GROUNDS[0] else StatedError()
+
+
+def points_error_of(scenario: str) -> StatedError:
+    """What the catalog of control points states of the terrain model below a shipped scenario."""
+    if ground_of(scenario) == GROUNDS[1] or scenario.endswith("_right"):
+        return RIGHT
+    return BETTER if scenario.endswith("_better") else StatedError()
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.places import make_folder
 from catalog.progress import Progress
+from catalog.terrain.error_model import StatedError
 from optnav_cli.evaluation.evaluation import Evaluation, pool
 from optnav_cli.evaluation.figures import Figures, FrameError, figures_of, none_solved
 from optnav_cli.evaluation.files import evaluate_run
@@ -123,7 +124,7 @@ def run(
                 place = output / "runs" / f"{pictures.name}-{row.cell_deg:g}deg"
                 place.parent.mkdir(exist_ok=True)
                 if not (kept and (place / SOLUTION).is_file()):
-                    wanted = row.catalog, row.cell_deg
+                    wanted = row.catalog, row.cell_deg, flights.points_error_of(name)
                     catalog = case_catalog(output, *wanted, progress, row.bbox)
                     # a row without any solution is a figure, too
                     with suppress(NothingToDoError):
@@ -140,14 +141,25 @@ def run(
 
 
 def case_catalog(
-    output: Path, name: str, cell_deg: float, progress: Progress, bbox: Bbox | None = None
+    output: Path,
+    name: str,
+    cell_deg: float,
+    stated: StatedError,
+    progress: Progress,
+    bbox: Bbox | None = None,
 ) -> Path:
     """The catalog of a shipped configuration at a cell size, in the study's folder.
 
-    bbox  west, south, east, north of its cells, deg
+    stated  the error of its terrain model, by numbers or not at all
+    bbox    west, south, east, north of its cells, deg
     """
-    config = output / f"{name}-{cell_deg:g}deg.toml"
     text = resource(f"configs/catalogs/{name}.toml").read_text(encoding="utf-8")
+    if stated.error_m is not None:
+        name += f"-{stated.error_m:g}m"
+        numbers = {"error_m": stated.error_m, "resolution_km": stated.resolution_km}
+        lines = (f"{key} = {value}\n" for key, value in numbers.items() if value is not None)
+        text = text.replace("[[dem]]\n", "[[dem]]\n" + "".join(lines))
+    config = output / f"{name}-{cell_deg:g}deg.toml"
     return flights.built_catalog(config, f"{text}\n[grid]\ncell_deg = {cell_deg}\n", progress, bbox)
 
 

@@ -33,6 +33,8 @@ MIN_COS_EMISSION = 0.1
 REFERENCE_M = 118.45
 # Of a template, that `warped_m` is stated for.
 WARPED_SIZE_M = 9.5e3
+# Of `explained`: steep, since frames that tell albedo or another truth apart lie close to it.
+EXPLAINED_POWER = 4.0
 # Below it shadows fill the picture and the cotangent runs away.
 MIN_SUN = np.radians(8.0)
 
@@ -112,10 +114,12 @@ class AlbedoSizes(_Sizes, frozen=True):
 
 
 class TerrainSizes(_Sizes, frozen=True):
-    """Shares of stated errors of terrain models."""
+    """Shares of stated errors of terrain models, and what is common where they are right."""
 
     shift: Positive
     height: Positive
+    right: Positive
+    explained: Positive
 
 
 class PointErrorSizes(_Sizes, frozen=True):
@@ -198,6 +202,8 @@ class MatchedPoints:
     sizes_m               (n,)       sides of the templates on the ground
     terrain_sigmas_m      (n, 2)     shift an axis and height of each template by the stated error
                                      of its terrain model; None or 0 where none is stated
+    terrain_errors        (n,)       stated errors of the terrain models over those of GLD100; None:
+                                     as large
     albedo_postings_m     (n,)       of the levels where albedo that follows relief was fitted to
                                      the matches, else 0; None: to none
     """
@@ -212,6 +218,7 @@ class MatchedPoints:
     skipped_m: FloatArray
     sizes_m: FloatArray
     terrain_sigmas_m: FloatArray | None = None
+    terrain_errors: FloatArray | None = None
     albedo_postings_m: FloatArray | None = None
 
 
@@ -308,7 +315,8 @@ def common_errors_px(
     left of albedo along the Sun and across it.
     """
     sizes = sizes or shipped_sizes()
-    common, curved, hidden = sizes.common, sizes.curved, sizes.hidden
+    share = _common_share(points, sizes)
+    common, curved, hidden = _of_share(sizes.common, share), sizes.curved, sizes.hidden
     places, pixel_per_metre = points.points_m, points.pixel_per_metre
     postings, finest_postings = points.postings_m, points.finest_postings_m
     unresolved = points.unresolved_posting_m
@@ -320,7 +328,7 @@ def common_errors_px(
     along = level / length if length > 1e-6 else np.linalg.svd(up[None])[2][1]
     across = np.cross(up, along)
     elevation = max(float(np.arcsin(np.clip(sun_body @ up, -1.0, 1.0))), MIN_SUN)
-    unexplained = float(1.0 - np.clip(points.scores, 0.0, 1.0).mean())
+    unexplained = _unexplained(points)
     shift = common.shift_m + common.unexplained_m * unexplained
     outward = places - middle
     outward = outward - (outward @ up)[:, None] * up
@@ -361,7 +369,7 @@ def common_errors_px(
     for axis, nodes in ((along, common.sunward_nodes), (across, common.shift_nodes)):
         own_shifts = nodes * postings + hidden.shift * unresolved
         moved.append(np.einsum("nij,j->ni", pixel_per_metre, axis) * own_shifts[:, None])
-    left = along * (sizes.sunward.left * _sunward_m(points, sizes))[:, None]
+    left = along * (share * sizes.sunward.left * _sunward_m(points, sizes))[:, None]
     moved.append(np.einsum("nij,nj->ni", pixel_per_metre, left))
     if points.albedo_postings_m is None:
         left_m = np.zeros(len(places))
@@ -370,6 +378,36 @@ def common_errors_px(
     for axis in (along, across):
         moved.append(np.einsum("nij,j->ni", pixel_per_metre, axis) * left_m[:, None])
     return np.stack(moved, axis=2)
+
+
+def scatter_shares(
+    points: MatchedPoints | None, sizes: PointErrorSizes | None = None
+) -> tuple[float, float]:
+    """Of a frame's scatter: a shift an axis and a stretch that are common to its points."""
+    sizes = sizes or shipped_sizes()
+    share = 1.0 if points is None else _common_share(points, sizes)
+    return share * sizes.common.scatter_shift, share * sizes.common.scatter_stretch
+
+
+def _common_share(points: MatchedPoints, sizes: PointErrorSizes) -> float:
+    """How much is left of the errors common to a frame where it looks as its models say.
+
+    That takes both: models that are stated to be right, and scores that leave nothing open. A right
+    model under uneven albedo leaves as much common to a frame as one that errs.
+    """
+    if points.terrain_errors is None:
+        return 1.0
+    stated = float(np.sqrt(np.square(points.terrain_errors).mean()))
+    left_open = _unexplained(points) / sizes.terrain.explained
+    return min(max(sizes.terrain.right, stated, left_open**EXPLAINED_POWER), 1.0)
+
+
+def _unexplained(points: MatchedPoints) -> float:
+    return float(1.0 - np.clip(points.scores, 0.0, 1.0).mean())
+
+
+def _of_share(common: CommonSizes, share: float) -> CommonSizes:
+    return CommonSizes(**{n: share * v for n, v in msgspec.structs.asdict(common).items()})
 
 
 def _lines_of_sight(pixel_per_metre: FloatArray, up: FloatArray) -> FloatArray:

@@ -130,6 +130,11 @@ class ControlPointField:
         """(n,) finest posting of each of some points: that of its catalog's terrain."""
         return np.array([layer.known_m for layer in self.layers])[self.layer_of[index]]
 
+    def terrain_errors(self, index: IndexArray) -> FloatArray:
+        """(n,) stated errors of terrain models over those of GLD100; 1 where none is stated."""
+        stated = (self._stated(point) for point in index.tolist())
+        return np.array([1.0 if error is None else error.against_gld100 for error in stated])
+
     def terrain_sigmas_m(self, index: IndexArray, sizes_m: FloatArray) -> FloatArray:
         """(n, 2) what stated errors of terrain models do to templates: shift an axis, height; m.
 
@@ -137,9 +142,7 @@ class ControlPointField:
         """
         sigmas = np.zeros((len(index), 2))
         for k, (point, size) in enumerate(zip(index.tolist(), sizes_m.tolist(), strict=True)):
-            layer = self._layer(point)
-            row = point - int(self._first[self.layer_of[point]])
-            error = layer.errors[row] if layer.errors else None
+            error = self._stated(point)
             reference = self.reference(point) if error is not None else None
             if error is not None and reference is not None:
                 box_m = 1e3 * error.box_km
@@ -244,6 +247,11 @@ class ControlPointField:
 
     def _layer(self, index: int) -> PointLayer:
         return self.layers[int(self.layer_of[index])]
+
+    def _stated(self, index: int) -> TerrainErrorModel | None:
+        layer = self._layer(index)
+        row = index - int(self._first[self.layer_of[index]])
+        return layer.errors[row] if layer.errors else None
 
 
 def _covered(layer: PointLayer, earlier: Sequence[PointLayer]) -> BoolArray:

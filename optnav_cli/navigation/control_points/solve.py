@@ -303,6 +303,7 @@ def _matched_points(
         np.maximum(levels - resolved, 0.0),
         sizes,
         points.terrain_sigmas_m(index, sizes),
+        points.terrain_errors(index),
         levels * [matches[k].under_albedo for k in kept],
     )
 
@@ -393,6 +394,6 @@ def resect_matches(
         attitude_sigma_rad,
         common_errors_px=common,
         error_correlation=matched.correlation,
-        common_shares=(sizes.common.scatter_shift, sizes.common.scatter_stretch),
+        common_shares=error_model.scatter_shares(matched.errors, sizes),
         gate_probability=gate_probability,
     )

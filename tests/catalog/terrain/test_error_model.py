@@ -73,6 +73,17 @@ def test_a_better_product_places_templates_better_in_proportion():
         assert product.source
 
 
+def test_errors_of_models_are_compared_with_gld100_by_error_and_resolution():
+    assert error_of().against_gld100 == pytest.approx(1.0)
+    # a model that is right but for what its grid cannot hold, and one as coarse as GLD100's waves
+    for stated, least, most in (((0.5, 0.237), 0.10, 0.12), ((0.5, 1.6), 0.70, 0.72)):
+        model = TerrainErrorModel.of(StatedError(None, *stated), POSTING_M)
+        assert least < model.against_gld100 < most
+    # a mesh whose vertices lie as far apart as half of GLD100's waves errs as it does
+    assert error_of("mesh", 800.0).against_gld100 == pytest.approx(1.0)
+    assert error_of("mesh", 80.0).against_gld100 == pytest.approx(0.1)
+
+
 def test_numbers_stand_for_a_product_and_a_mesh_goes_by_its_posting():
     stated = TerrainErrorModel.of(StatedError(None, 28.0, 1.6), POSTING_M)
     assert stated.point_sigma_m(9.5e3, 0.05) == error_of().point_sigma_m(9.5e3, 0.05)

@@ -1,6 +1,7 @@
 """The fit of the sizes of errors: known ones are found again, and what it writes is their file."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,7 +48,7 @@ CALIBRATED = {
     "hidden": "own 0.12 rise 0.009 shift 0.004 stretch 0.018 keystone 0.012",
     "sunward": "bias_m 0.9 unexplained_m 15 high_sun 1.5 left 0.5",
     "albedo": "shift_nodes 0.12",
-    "terrain": "shift 0.25 height 1",
+    "terrain": "shift 0.25 height 1 right 0.25 explained 0.1",
 }
 SIZES = {
     f"{section}.{name}": float(value)
@@ -56,9 +57,12 @@ SIZES = {
 }
 
 
-def frame(rng, sizes, stated_px=0.05, hidden_m=0.0, stated_terrain=False, levels=(1, 2, 4)):
+def frame(
+    rng, sizes, stated_px=0.05, hidden_m=0.0, stated_terrain=False, levels=(1, 2, 4), right=None
+):
     """A frame from the zenith whose points are missed as these sizes say.
 
+    right      score of points of a model that is stated to be right
     stated_px  of the peaks;  hidden_m  posting of a shape model coarser than the patches
     stated_terrain  the terrain model's errors are stated, the picture resolves more than levels,
                     albedo was fitted
@@ -77,7 +81,7 @@ def frame(rng, sizes, stated_px=0.05, hidden_m=0.0, stated_terrain=False, levels
     points = MatchedPoints(
         points_m=places,
         pixel_per_metre=by_ground,
-        scores=rng.uniform(0.4, 0.95, POINTS),
+        scores=rng.uniform(0.4, 0.95, POINTS) if right is None else np.full(POINTS, right),
         sun_elevation_deg=np.full(POINTS, np.degrees(elevation)),
         postings_m=finest * rng.choice(levels, POINTS),
         finest_postings_m=finest,
@@ -85,12 +89,13 @@ def frame(rng, sizes, stated_px=0.05, hidden_m=0.0, stated_terrain=False, levels
         skipped_m=np.full(POINTS, 300.0 * stated_terrain),
         sizes_m=np.full(POINTS, 9.5e3),
         terrain_sigmas_m=np.full((POINTS, 2), 20.0) if stated_terrain else None,
+        terrain_errors=None if right is None else np.zeros(POINTS),
         albedo_postings_m=np.full(POINTS, 474.0) if stated_terrain else None,
     )
     stated = np.tile(stated_px**2 * np.eye(2), (POINTS, 1, 1))
     own = stated + error_model.own_covariances_px2(points, sizes)
     seen = Sightings(places, pixels, own)
-    scatter = errors_of_scatter(seen, 1.0, sizes.common.scatter_shift, sizes.common.scatter_stretch)
+    scatter = errors_of_scatter(seen, 1.0, *error_model.scatter_shares(points, sizes))
     common = error_model.common_errors_px(points, sun, sizes)
     together = np.concatenate([scatter, common], axis=2)
     correlation = ground_correlation(places, points.sizes_m)
@@ -176,13 +181,17 @@ def test_a_shipped_size_of_half_or_twice_the_calibrated_one_is_seen(name):
         del others["sunward.unexplained_m"]
     if name == "own.warped_low_sun":
         del others["own.warped_m"]
+    if name in ("terrain.right", "terrain.explained"):
+        del others["common.shift_m"]
+        others.pop("terrain.explained", None)
     # shares of the scatter of 16 points are seen when they are ten times as large
     shipped = fit.scaled(shipped_sizes(), others | {name: 10.0 if "scatter" in name else 1.0})
     calibrated = fit.scaled(shipped, {name: SIZES[name] / fit.numbers(shipped_sizes())[name]})
     rng = np.random.default_rng(31)
     # the scatter is that of the peaks; the smallest sizes move points by 0.00002 px
     noise_px = 0.5 if "scatter" in name else 1e-7
-    kinds = {"hidden_m": 300.0}, {"stated_terrain": True}, {"levels": [1]}
+    kinds: list[dict[str, Any]] = [{"hidden_m": 300.0}, {"stated_terrain": True}, {"levels": [1]}]
+    kinds += [{"right": score} for score in (0.99, 0.92)]
     frames = [frame(rng, calibrated, noise_px, **kind) for kind in kinds for _ in range(40)]
     half, whole, twice = (
         fit.log_likelihood(frames, fit.scaled(shipped, {name: factor})) for factor in (0.5, 1, 2)

@@ -191,15 +191,15 @@ def test_no_pass_repeats_what_the_one_before_saw(passes, settled):
 def test_the_stated_error_of_the_terrain_model_widens_the_sigmas(rough_world, field_of, scene):
     picture, pose, sun = scene
     sigmas = []
-    for error_m in (None, 0.01, 28.0):
+    for stated in (None, (0.01, 0.2), (28.0, 1.6)):
         field = field_of(rough_world)
-        if error_m is not None:
-            error = TerrainErrorModel(error_m, 1.6, 2.0, "test")
+        if stated is not None:
+            error = TerrainErrorModel(*stated, 2.0, "test")
             layers = [replace(layer, errors=(error,) * len(layer.ids)) for layer in field.layers]
             field = ControlPointField(layers)
         fix = solve(rough_world, field, picture, pose, sun)
         sigmas.append(np.sqrt(np.trace(fix.covariance_m2)))
-    assert sigmas[1] == pytest.approx(sigmas[0], rel=0.01)
+    assert sigmas[1] < 0.9 * sigmas[0]  # a model of which nothing is stated may be wrong
     # templates of 5.7 km err by 150 m an axis, a fourth of it added; 12 and more are averaged
     assert 15.0 < sigmas[2] < 300.0
 

@@ -12,6 +12,8 @@ from optnav_cli.navigation.control_points.error_model import (
     common_errors_px,
     own_covariances_px2,
     own_sigma_m,
+    scatter_shares,
+    shipped_sizes,
 )
 
 RADIUS_M, POSTING_M = 1_737_400.0, 118.45
@@ -129,6 +131,28 @@ def test_a_terrain_models_error_moves_a_point_along_the_ground_and_in_height():
         assert np.diagonal(added, axis1=1, axis2=2) == pytest.approx(
             np.tile(wanted, (4, 1)), rel=0.04, abs=3.0
         )
+
+
+def test_what_is_common_shrinks_where_the_model_is_stated_right_and_explains_the_frame():
+    others = np.r_[0:7, 10:20]  # but for a view round the body, [curved]
+
+    def common(score, stated):
+        known = None if stated is None else np.full(4, stated)
+        points = replace(matched(SQUARE, score=score), terrain_errors=known)
+        return common_errors_px(points, sun(30.0))[:, :, others]
+
+    whole = common(0.98, None)
+    np.testing.assert_allclose(common(0.98, 0.3), 0.3 * whole, atol=1e-12)
+    np.testing.assert_allclose(common(0.98, 0.0), shipped_sizes().terrain.right * whole, atol=1e-12)
+    assert (common(0.98, 1.0) == whole).all()
+    assert (common(0.98, 5.0) == whole).all()
+    # a right model under albedo, and one that errs but is seen well
+    np.testing.assert_allclose(common(0.85, 0.1), common(0.85, None))
+    np.testing.assert_allclose(common(0.92, 0.1), 0.8**4 * common(0.92, None), atol=1e-12)
+    plain = matched(SQUARE, score=0.98)
+    seen_well = replace(plain, terrain_errors=np.full(4, 0.3))
+    of_plain, of_right = (np.array(scatter_shares(points)) for points in (plain, seen_well))
+    np.testing.assert_allclose(of_right, 0.3 * of_plain)
 
 
 def test_a_view_round_the_body_stretches_what_a_coarse_level_averages():
