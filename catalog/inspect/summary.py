@@ -71,7 +71,7 @@ def catalog_document(catalog: Catalog) -> Document:
         "relief": _relief(meta),
         "terrain_errors": {
             name: {"error_m": e.error_m, "resolution_km": e.resolution_km, "source": e.source}
-            | {"template_sigma_m": _template_sigma_m(e, meta)}
+            | {"of_gld100": e.against_gld100, "template_sigma_m": _template_sigma_m(e, meta)}
             for name, e in meta.terrain_errors.items()
         },
         "comparison": _comparison(catalog),
@@ -190,9 +190,16 @@ def _comparison_lines(found: Document | None) -> dict[str, str]:
 
 
 def _error_words(error: Document) -> str:
-    words = "{error_m:.6g} m over 2 km, resolution {resolution_km:.6g} km; places of templates to "
+    words = "{error_m:.6g} m over 2 km, resolution {resolution_km:.6g} km, both together "
+    words += "{of_gld100:.2g} of GLD100's; places of templates to "
     sigmas = ", ".join(f"{sigma:.3g}" for sigma in error["template_sigma_m"])
     return words.format(**error) + f"{sigmas} m by level, finest first; {error['source']}"
+
+
+def _error_lines(errors: Document) -> dict[str, str]:
+    if not errors:
+        return {"terrain_errors": "none stated: what points have wrong in common as over GLD100"}
+    return {f"error of {name}": _error_words(error) for name, error in errors.items()}
 
 
 # entries of the document that are more than a value, as lines for people
@@ -207,9 +214,7 @@ _WORDS: dict[str, Callable[[Any], dict[str, str]]] = {
     "size_nodes": lambda size: {"size": str(size)},
     "relief": lambda relief: {"relief": _relief_words(relief)},
     "comparison": _comparison_lines,
-    "terrain_errors": lambda errors: {
-        f"error of {name}": _error_words(error) for name, error in errors.items()
-    },
+    "terrain_errors": _error_lines,
     "sources": lambda sources: {f"source {name}": text for name, text in sources.items()},
 }
 

@@ -297,14 +297,18 @@ def test_stated_errors_stand_in_the_catalog_and_are_no_content(config, tmp_path)
         document = catalog_document(catalog)
     found = document["terrain_errors"]["tycho_gld100_256ppd.tif"]
     assert found["template_sigma_m"] == sorted(found["template_sigma_m"], reverse=True)
-    assert "28 m over 2 km" in describe(document)["error of tycho_gld100_256ppd.tif"]
+    said = describe(document)["error of tycho_gld100_256ppd.tif"]
+    assert "28 m over 2 km" in said
+    assert "1 of GLD100's" in said
 
 
 def test_a_catalog_without_stated_errors_has_no_row_of_them(config, tmp_path):
     built(config, tmp_path / "c.gpkg", bbox=BBOX, workers=1)
     with Catalog.open(tmp_path / "c.gpkg") as catalog:
         assert "terrain_errors" not in rows_from_meta(catalog.meta)
-        assert catalog_document(catalog)["terrain_errors"] == {}
+        document = catalog_document(catalog)
+    assert document["terrain_errors"] == {}
+    assert "none stated" in describe(document)["terrain_errors"]
 
 
 def test_an_error_larger_than_the_relief_is_refused(config, tmp_path):
