@@ -317,6 +317,10 @@ def common_errors_px(
     sizes = sizes or shipped_sizes()
     share = _common_share(points, sizes)
     common, curved, hidden = _of_share(sizes.common, share), sizes.curved, sizes.hidden
+    # what averaging to a coarser level moves does not shrink
+    nodes_m = points.postings_m + (1.0 / share - 1.0) * (
+        points.postings_m - points.finest_postings_m
+    )
     places, pixel_per_metre = points.points_m, points.pixel_per_metre
     postings, finest_postings = points.postings_m, points.finest_postings_m
     unresolved = points.unresolved_posting_m
@@ -350,7 +354,7 @@ def common_errors_px(
     moved = [*shifts, stretch * (region * common.stretch_m / max(reach, 1.0))]
     moved += [_of_size(stretch, common.stretch_px)]
     moved += [_of_size(field, common.keystone_px) for field in (one_way, other_way)]
-    averaged, distance = postings - finest_postings, float(np.linalg.norm(middle))
+    distance = float(np.linalg.norm(middle))
     finest = (unresolved == 0.0) & (averaged == 0.0)
     round_m = np.where(finest, finest_postings, 0.0) * (reach / distance)
     even = curved.stretch_nodes * averaged + hidden.stretch * unresolved
@@ -362,12 +366,12 @@ def common_errors_px(
     moved += [one * common.shift_px * axis for axis in np.eye(2)]
     verticals = unit(places)
     sight = _lines_of_sight(pixel_per_metre, verticals)
-    sigma = common.height_nodes * postings + hidden.rise * unresolved
+    sigma = common.height_nodes * nodes_m + hidden.rise * unresolved
     sigma = sigma / _cos_emission(sight, verticals)
     rise = np.einsum("nij,nj->ni", pixel_per_metre, verticals) * sigma[:, None]
     moved += [rise, rise * (sight @ along)[:, None], rise * (sight @ across)[:, None]]
     for axis, nodes in ((along, common.sunward_nodes), (across, common.shift_nodes)):
-        own_shifts = nodes * postings + hidden.shift * unresolved
+        own_shifts = nodes * nodes_m + hidden.shift * unresolved
         moved.append(np.einsum("nij,j->ni", pixel_per_metre, axis) * own_shifts[:, None])
     left = along * (share * sizes.sunward.left * _sunward_m(points, sizes))[:, None]
     moved.append(np.einsum("nij,nj->ni", pixel_per_metre, left))

@@ -48,7 +48,7 @@ CALIBRATED = {
     "hidden": "own 0.12 rise 0.009 shift 0.004 stretch 0.018 keystone 0.012",
     "sunward": "bias_m 0.9 unexplained_m 15 high_sun 1.5 left 0.5",
     "albedo": "shift_nodes 0.12",
-    "terrain": "shift 0.25 height 1 right 0.25 explained 0.1",
+    "terrain": "shift 0.25 height 1 right 0.2 explained 0.1",
 }
 SIZES = {
     f"{section}.{name}": float(value)

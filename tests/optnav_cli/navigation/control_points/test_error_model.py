@@ -146,6 +146,15 @@ def test_what_is_common_shrinks_where_the_model_is_stated_right_and_explains_the
     np.testing.assert_allclose(common(0.98, 0.0), shipped_sizes().terrain.right * whole, atol=1e-12)
     assert (common(0.98, 1.0) == whole).all()
     assert (common(0.98, 5.0) == whole).all()
+    # of coarse levels, what averaging moves stays
+    nodes = np.r_[12:17]
+    coarse, finest = (
+        common_errors_px(matched(SQUARE, score=0.98, levels=level), sun(30.0))[:, :, nodes]
+        for level in (4.0, 1.0)
+    )
+    points = replace(matched(SQUARE, score=0.98, levels=4.0), terrain_errors=np.full(4, 0.3))
+    some = common_errors_px(points, sun(30.0))[:, :, nodes]
+    np.testing.assert_allclose(some, coarse - 0.7 * finest, atol=1e-12)
     # a right model under albedo, and one that errs but is seen well
     np.testing.assert_allclose(common(0.85, 0.1), common(0.85, None))
     np.testing.assert_allclose(common(0.92, 0.1), 0.8**4 * common(0.92, None), atol=1e-12)
