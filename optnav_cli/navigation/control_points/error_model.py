@@ -317,12 +317,11 @@ def common_errors_px(
     sizes = sizes or shipped_sizes()
     share = _common_share(points, sizes)
     common, curved, hidden = _of_share(sizes.common, share), sizes.curved, sizes.hidden
-    # what averaging to a coarser level moves does not shrink
-    nodes_m = points.postings_m + (1.0 / share - 1.0) * (
-        points.postings_m - points.finest_postings_m
-    )
     places, pixel_per_metre = points.points_m, points.pixel_per_metre
-    postings, finest_postings = points.postings_m, points.finest_postings_m
+    finest_postings = points.finest_postings_m
+    averaged = points.postings_m - finest_postings
+    # what averaging to a coarser level moves does not shrink
+    nodes_m = finest_postings + averaged / share
     unresolved = points.unresolved_posting_m
     middle = places.mean(axis=0)
     up = middle / np.linalg.norm(middle)
@@ -402,8 +401,8 @@ def _common_share(points: MatchedPoints, sizes: PointErrorSizes) -> float:
     if points.terrain_errors is None:
         return 1.0
     stated = float(np.sqrt(np.square(points.terrain_errors).mean()))
-    left_open = _unexplained(points) / sizes.terrain.explained
-    return min(max(sizes.terrain.right, stated, left_open**EXPLAINED_POWER), 1.0)
+    left_open = (_unexplained(points) / sizes.terrain.explained) ** EXPLAINED_POWER
+    return min(max(sizes.terrain.right, stated, float(left_open)), 1.0)
 
 
 def _unexplained(points: MatchedPoints) -> float:
