@@ -36,14 +36,18 @@ ACCURACY = {
     "The same at 400 km: {} of {} frames, {} m horizontal, {} m height, NEES {}.": (
         "navigation_real 0 4 solved frames horizontal_rms_m height_rms_m nees"
     ),
-    "At 200 km over the simulator's own ground: {} m horizontal, {} m height.": (
-        "navigation 0 0 horizontal height"
+    "By a fisheye from 100 to 400 km: {} of {} frames, {} m horizontal, {} m height, NEES {}.": (
+        "navigation_real 0 8 solved frames horizontal_rms_m height_rms_m nees"
+    ),
+    "At 200 km over the simulator's own ground: {} m horizontal, {} m height, NEES {}.": (
+        "navigation 0 0 horizontal_rms_m height_rms_m nees"
     ),
     "No prior at all, fisheye at 200 km: {} m horizontal, {} m height.": (
         "autonomous 0 1 horizontal_rms_m height_rms_m"
     ),
-    "The limb alone, fisheye at 100 km: {} m horizontal, {} m height.": (
-        "horizon 0 1 with_relief_below_worst height_2"
+    "The limb alone, fisheye at 100 km, ground that differs so, too: {} of {} frames, {} m "
+    "horizontal, {} m height, NEES {}.": (
+        "horizon_real 0 1 solved frames terrain_ssp_m terrain_height_m nees"
     ),
     "The limb alone from 100 000 km: range {}, direction {}.": (
         "horizon 1 3 range_with_relief direction"
