@@ -182,10 +182,10 @@ class TruthTerrain:
         grid = lat[0], lon[0], step_lat, step_lon, TILE, TILE
         wrong = np.float32(0.0) if error is None else error.window(*grid)
         for number, source in reversed(list(enumerate(self._sources))):
-            share = self._share(source, lat, lon)
+            share, *nearest = self._within(source, lat, lon)
             if not share.any():
                 continue
-            own = self._source_heights(source, *self._nearest(source, lat, lon)) + wrong
+            own = self._source_heights(source, *nearest) + wrong
             # at the model's own posting the relief below it has no place
             detail = self._details[seed] if number == 0 and factor > 1 else None
             if detail is not None:
@@ -217,37 +217,27 @@ class TruthTerrain:
         south, north = max(south - down, -0.5 * np.pi), min(north + down, 0.5 * np.pi)
         return west - across, south, east + across, north
 
-    def _reach(
+    def _within(
         self, source: DemSource, lat: FloatArray, lon: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """How far in a model parallels and meridians lie, and those nearest in it, rad."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """How far nodes belong to a model, and their parallels and meridians, moved to its edge.
+
+        (rows, cols) 1 in the model, falling smoothly to 0 over FEATHER_M outside: catalogs are
+        made from the whole model, so the truth is the model's up to its edge.
+        """
         west, south, east, north = source.latlon_bounds()
         inset = source.posting_m / self.body.radius_m
         south, north = south + inset, north - inset
         down = np.minimum(north - lat, lat - south)
-        if source.wraps:
-            return down, np.full(lon.size, np.inf), np.clip(lat, south, north), lon
-        offset = np.mod(lon - 0.5 * (west + east) + np.pi, 2.0 * np.pi) - np.pi
-        half = 0.5 * (east - west) - inset
-        nearest = np.where(np.abs(offset) > half, lon + np.copysign(half, offset) - offset, lon)
-        return down, (half - np.abs(offset)) / self._stretch, np.clip(lat, south, north), nearest
-
-    def _share(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> FloatArray:
-        """(rows, cols) 1 in a model, falling smoothly to 0 over FEATHER_M outside.
-
-        Catalogs are made from the whole model, so the truth is the model's up to its edge.
-        """
-        down, across, _, _ = self._reach(source, lat, lon)
+        across, nearest = np.full(lon.size, np.inf), lon
+        if not source.wraps:
+            offset = np.mod(lon - 0.5 * (west + east) + np.pi, 2.0 * np.pi) - np.pi
+            half = 0.5 * (east - west) - inset
+            across = (half - np.abs(offset)) / self._stretch
+            nearest = np.where(across < 0.0, lon + np.copysign(half, offset) - offset, lon)
         metres = np.minimum(down[:, None], across[None, :]) * self.body.radius_m
         x = np.clip(1.0 + metres / FEATHER_M, 0.0, 1.0)
-        share: FloatArray = x * x * (3.0 - 2.0 * x)
-        return share
-
-    def _nearest(
-        self, source: DemSource, lat: FloatArray, lon: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Parallels and meridians, those outside of a model moved to its edge."""
-        return self._reach(source, lat, lon)[2:]
+        return x * x * (3.0 - 2.0 * x), np.clip(lat, south, north), nearest
 
     def _source_heights(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> Float32Array:
         """Spline heights of one model at the nodes of a tile, NaN beside holes."""
