@@ -7,6 +7,11 @@ the peak of the correlation: a bright crest beside a slope in sunlight looks lik
 farther from the Sun. Over maria at nodes of 948 m that is 0.1 nodes under a Sun of 15 degrees and
 0.3 under one of 36.
 
+Both are taken of heights that are as smooth as the map of albedo from which their strengths come
+(SMOOTH_M), at nodes of any size: of sharper ones the Moon's albedo as mapped follows only the
+longer waves, and strengths that fit these move places too far back, at nodes of 474 m by 30 m and
+more under a Sun of 45 degrees.
+
 So both patterns are fitted along with the place, held by how they go with the Moon's relief (FILE,
 `optnav study fit albedo`) and by how the other points of the picture show them: a place and the
 strength of its crests are hard to tell apart. What then is left over lies where the relief is, too,
@@ -24,7 +29,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.config import Positive, load_toml, resource
-from catalog.correlation.ncc import cropped, laid_at, quick_high_passed, stepped
+from catalog.correlation.ncc import cropped, laid_at, low_pass, quick_high_passed, stepped
 from catalog.correlation.peak import (
     Match,
     Prior,
@@ -40,6 +45,8 @@ FILE = "configs/models/albedo.toml"
 # that every node has at least.
 LOCAL_NODES, LOCAL_FLOOR = 5.0, 0.1
 PLAIN_PATTERNS = 4  # 1, template and slopes
+SMOOTH_M = 1330.0  # sigma: half a pixel of the LROC colour map of 4096 columns
+CRESTS_OVER_M = 1000.0  # the distance over which a change of slope counts
 # So many points' worth of scatter is that of all ground, of strengths in a picture.
 PRIOR_POINTS = 1.0
 
@@ -65,19 +72,21 @@ def shipped_strengths() -> ReliefAlbedo:
 
 
 def steepness_and_crests(heights: ArrayLike, posting_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Slope of ground (n, m), and how much it changes from node to node: below 0 on a crest.
+    """Slope of smoothed ground (n, m), and how much it changes over a kilometre: below 0 on a crest.
 
     posting_m  m from row to row and from column to column, or one for both
     """
     rows_m, columns_m = np.broadcast_to(posting_m, 2)
-    down, along = np.gradient(np.asarray(heights), rows_m, columns_m)
-    return np.hypot(down, along), np.gradient(down, axis=0) + np.gradient(along, axis=1)
+    smooth = low_pass(np.asarray(heights, np.float32), SMOOTH_M / np.sqrt(rows_m * columns_m))
+    down, along = np.gradient(smooth.astype(np.float64), rows_m, columns_m)
+    bend = np.gradient(down, rows_m, axis=0) + np.gradient(along, columns_m, axis=1)
+    return np.hypot(down, along), CRESTS_OVER_M * bend
 
 
 def relief_patterns(
     heights: Float32Array, posting_m: float, brightness: Float32Array
 ) -> Float32Array:
-    """How brightness changes by a unit of slope, and by one of slope change a node, (2, n, n).
+    """How brightness changes by a unit of slope, and by one of slope change a km, (2, n, n).
 
     heights (n, n) m, brightness (n, n) as rendered. NaN where either is unknown.
     """

@@ -223,6 +223,6 @@ def report(result: AlbedoFitResult) -> StudyReport:
     tables = (StudyTable("Numbers", NUMBERS, sizes), StudyTable("Grounds", SCORES, tuple(scores)))
     note = (
         f"squares of {SIDE} nodes of 948 m; logarithm of brightness a unit of slope, and a unit of "
-        "slope change from node to node; of rises toward east and north beside both"
+        "slope change over a kilometre; of rises toward east and north beside both"
     )
     return StudyReport(tables, (note,))

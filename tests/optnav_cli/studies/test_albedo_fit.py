@@ -60,7 +60,7 @@ def test_new_strengths_are_written_over_the_old_ones() -> None:
     old = numbers(shipped_strengths())
     text = likelihood.with_numbers(toml_text(resource(FILE)), old, old | {"crests.mean": -0.5})
     assert "mean = -0.5 " in text
-    assert text.count("mean = 0.58") == 1
+    assert text.count("mean = 0.96") == 1
 
 
 def test_ground_of_another_name_is_refused() -> None:
