@@ -60,7 +60,12 @@ ROWS = (
     FlightCase("real, 0.25° cells: unk 400 km", ("real_unk_400km",), 0.25, 15.0, 20.0),
     FlightCase("real, 1° cells: shnk 100-400 km", REAL_SHNK, 1.0, 12.0, 12.0),
     FlightCase(
-        "real, 1° cells of 474 m: unk 400 km", ("real_farside_400km",), 1.0, 30.0, 75.0, "farside"
+        "real, 1° cells of 474 m: unk 400 km",
+        ("real_farside_400km", "real_farside_400km_other"),
+        1.0,
+        30.0,
+        75.0,
+        "farside",
     ),
     FlightCase(
         "real, 1° cells of 948 m, mare: unk 400 km",

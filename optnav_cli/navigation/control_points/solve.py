@@ -31,10 +31,10 @@ DISTORTION_SIGMAS = 2.0
 # A place at the finest level that scores less is compared with those at the next two.
 CERTAIN_SCORE, COARSER_LEVELS = 0.85, 2
 # Albedo that follows relief is fitted in frames where, in the median of their points, it explains
-# so large a share of what matches leave over, and these score less. Over maria it explains 0.01 to
-# 0.25, on highlands under the LROC map 0.01 to 0.04, and where albedo does not follow relief 0.001
-# to 0.002; but 0.005 to 0.016 of the little that scores of 0.89 leave over, and then the place
-# moves by sigmas. Maria score up to 0.75; over more, shading has most of the contrast.
+# so large a share of what matches leave over, and these score less. Over maria it explains 0.007 to
+# 0.25, on highlands under the LROC map 0.015 to 0.05, and where albedo does not follow relief 0.001
+# to 0.004; but up to 0.019 of the little that scores of 0.89 leave over, and then the place moves
+# by sigmas. Maria score up to 0.75; over more, shading has most of the contrast.
 MIN_ALBEDO_SHARE, MAX_ALBEDO_SCORE = 0.005, 0.8
 # Behind a blur: score times the root of the samples that were compared.
 MIN_STRENGTH = 3.0
