@@ -72,7 +72,7 @@ def shipped_strengths() -> ReliefAlbedo:
 
 
 def steepness_and_crests(heights: ArrayLike, posting_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Slope of smoothed ground (n, m), and how much it changes over a kilometre: below 0 on a crest.
+    """Slope of smoothed ground (n, m), and its change over a kilometre: below 0 on a crest.
 
     posting_m  m from row to row and from column to column, or one for both
     """

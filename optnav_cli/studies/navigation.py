@@ -15,11 +15,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from catalog.build.ingest import Bbox
 from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.places import make_folder
 from catalog.progress import Progress
+from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.error_model import StatedError
 from optnav_cli.evaluation.evaluation import Evaluation, pool
 from optnav_cli.evaluation.figures import Figures, FrameError, figures_of, none_solved
@@ -27,7 +30,8 @@ from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.output.run_folder import SOLUTION
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.studies import flights
+from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.studies import drawn_mare, flights
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 
@@ -37,6 +41,7 @@ class FlightCase(flights.Case):
 
     catalog  of configs/catalogs
     bbox     west, south, east, north of its cells, deg; None: all that the terrain model shows
+    drawn    over the model of drawn_mare.py
     """
 
     scenarios: tuple[str, ...]
@@ -45,6 +50,7 @@ class FlightCase(flights.Case):
     height_m: float
     catalog: str = "tycho"
     bbox: Bbox | None = None
+    drawn: bool = False
 
     @property
     def ground(self) -> str:
@@ -52,6 +58,8 @@ class FlightCase(flights.Case):
         return flights.ground_of(self.scenarios[0])
 
 
+MARE = (17.0, 3.0, 35.0, 21.0)
+DRAWN_FRAMES = 40
 REAL_SHNK = ("real_shnk_100km", "real_shnk_200km", "real_shnk_400km")
 ROWS = (
     FlightCase("real, 1° cells: unk 200 km", ("real_unk_200km",), 1.0, 30.0, 70.0),
@@ -74,7 +82,17 @@ ROWS = (
         30.0,
         75.0,
         "mare",
-        (17.0, 3.0, 35.0, 21.0),
+        MARE,
+    ),
+    FlightCase(
+        "real, 1° cells of 474 m, mare drawn below 948 m: unk 400 km",
+        ("real_mare_400km",),
+        1.0,
+        30.0,
+        75.0,
+        "mare",
+        MARE,
+        drawn=True,
     ),
     FlightCase("unk 200 km, 1° cells", ("unk_200km",), 1.0, 30.0, 150.0),
     FlightCase("unk 200 km, 0.5° cells", ("unk_200km",), 0.5, 20.0, 80.0),
@@ -123,14 +141,15 @@ def run(
         for star_sensor in (False, True):
             parts = []
             for name in row.scenarios:
-                pictures = flights.shipped_pictures(output, name, frames, progress)
+                model = drawn_mare.write_drawn_mare(output) if row.drawn else None
+                pictures = _pictures(output, name, model, frames, progress)
                 if star_sensor:
                     pictures = flights.with_star_sensor(pictures)
                 place = output / "runs" / f"{pictures.name}-{row.cell_deg:g}deg"
                 place.parent.mkdir(exist_ok=True)
                 if not (kept and (place / SOLUTION).is_file()):
                     wanted = row.catalog, row.cell_deg, flights.points_error_of(name)
-                    catalog = case_catalog(output, *wanted, progress, row.bbox)
+                    catalog = case_catalog(output, *wanted, progress, row.bbox, model)
                     # a row without any solution is a figure, too
                     with suppress(NothingToDoError):
                         navigate_folder(RunInputs(pictures, [catalog]), place, progress)
@@ -145,6 +164,19 @@ def run(
     return results
 
 
+def _pictures(
+    output: Path, name: str, model: Path | None, frames: int | None, progress: Progress
+) -> Path:
+    """The pictures of a shipped scenario; over another model DRAWN_FRAMES, of other places."""
+    if model is None:
+        return flights.shipped_pictures(output, name, frames, progress)
+    scenario = load_scenario(resource(f"configs/scenarios/{name}.toml"))
+    dem = (DemSettings(path=str(model)),)
+    other = msgspec.structs.replace(scenario, seed=scenario.seed + 1, dem=dem)
+    other = other.shortened(DRAWN_FRAMES if frames is None else frames)
+    return flights.made_pictures(other, output / "pictures" / f"{name}_drawn", progress)
+
+
 def case_catalog(
     output: Path,
     name: str,
@@ -152,13 +184,17 @@ def case_catalog(
     stated: StatedError,
     progress: Progress,
     bbox: Bbox | None = None,
+    model: Path | None = None,
 ) -> Path:
     """The catalog of a shipped configuration at a cell size, in the study's folder.
 
     stated  the error of its terrain model, by numbers or not at all
     bbox    west, south, east, north of its cells, deg
+    model   instead of the configuration's, if that is the shared one of the whole Moon
     """
     text = resource(f"configs/catalogs/{name}.toml").read_text(encoding="utf-8")
+    if model is not None:
+        name, text = model.stem, text.replace(flights.GLOBE, model.name)
     if stated.error_m is not None:
         name += f"-{stated.error_m:g}m"
         numbers = {"error_m": stated.error_m, "resolution_km": stated.resolution_km}

@@ -8,8 +8,8 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from catalog.control_point import Patch
-from catalog.correlation.ncc import match_ncc
 from catalog.correlation import relief_albedo
+from catalog.correlation.ncc import match_ncc
 from catalog.correlation.relief_albedo import shipped_strengths, steepness_and_crests
 from catalog.correlation.surf64 import match_surf
 from optnav_cli.camera.camera import Camera
