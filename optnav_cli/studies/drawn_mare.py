@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 import rasterio
 from affine import Affine
-from rasterio.windows import Window
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import load_body
@@ -45,8 +44,7 @@ def write_drawn_mare(folder: Path) -> Path:
         (top, bottom), (left, right) = (np.rint(ends + 0.5).astype(int) for ends in (rows, cols))
         heights = source.read_window(top, left, bottom - top, right - left)
     with rasterio.open(path) as dataset:
-        window = Window(int(left), int(top), int(right - left), int(bottom - top))
-        place = dataset.window_transform(window) @ Affine.scale(0.5)
+        place = dataset.transform @ Affine.translation(left, top) @ Affine.scale(0.5)
         crs, posting_m = dataset.crs, 0.5 * dataset.res[0]
     drawn = drawn_finer(heights, posting_m, fine_relief(real_heights(), posting_m))
     data = descent_model.geotiff(drawn, crs, place)
