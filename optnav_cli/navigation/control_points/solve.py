@@ -33,9 +33,10 @@ CERTAIN_SCORE, COARSER_LEVELS = 0.85, 2
 # Albedo that follows relief is fitted in frames where, in the median of their points, it explains
 # so large a share of what matches leave over, and these score less. Over maria it explains 0.007 to
 # 0.25, on highlands under the LROC map 0.015 to 0.05, and where albedo does not follow relief 0.001
-# to 0.004; but up to 0.019 of the little that scores of 0.89 leave over, and then the place moves
-# by sigmas. Maria score up to 0.75; over more, shading has most of the contrast.
-MIN_ALBEDO_SHARE, MAX_ALBEDO_SCORE = 0.005, 0.8
+# to 0.004, by the fisheye to 0.006; but up to 0.019 of the little that scores of 0.89 leave over,
+# and then the place moves by sigmas. Maria score up to 0.75; over more, shading has most of the
+# contrast.
+MIN_ALBEDO_SHARE, MAX_ALBEDO_SCORE = 0.0065, 0.8
 # Behind a blur: score times the root of the samples that were compared.
 MIN_STRENGTH = 3.0
 # Chance scores go as one over the side of a template (`acceptance.ChanceLaw`): with so many nodes
