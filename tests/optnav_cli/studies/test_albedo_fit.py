@@ -1,15 +1,24 @@
 """The fit of how albedo follows relief: from ground whose albedo is drawn by known strengths."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
+from catalog.bodies.body import load_body
 from catalog.config import resource, toml_text
-from catalog.correlation.relief_albedo import FILE, shipped_strengths, steepness_and_crests
+from catalog.correlation.relief_albedo import (
+    FILE,
+    SMOOTH_M,
+    shipped_strengths,
+    steepness_and_crests,
+)
 from catalog.errors import ConfigError, NothingToDoError, UsageError
 from catalog.progress import SilentProgress
+from optnav_cli.simulation.albedo import AlbedoMap
+from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.studies import albedo_fit, fit, likelihood
 from optnav_cli.studies.albedo_fit import AlbedoFitResult, fitted, numbers, squares
 
@@ -61,6 +70,16 @@ def test_new_strengths_are_written_over_the_old_ones() -> None:
     text = likelihood.with_numbers(toml_text(resource(FILE)), old, old | {"crests.mean": -0.5})
     assert "mean = -0.5 " in text
     assert text.count("mean = 0.96") == 1
+
+
+def test_heights_are_smoothed_by_half_a_pixel_of_the_map(
+    shared_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = shared_data("moon/lroc_color_2025_4k.jpg").parents[1]
+    monkeypatch.setenv("OPTNAV_SHARED_DATA", str(folder))
+    scenario = load_scenario(resource(f"configs/scenarios/{albedo_fit.MAPPED}.toml"))
+    albedo = AlbedoMap(scenario.world.albedo_map, load_body("moon"))
+    assert pytest.approx(0.5 * albedo.posting_m, rel=0.01) == SMOOTH_M
 
 
 def test_ground_of_another_name_is_refused() -> None:
