@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.config import resource
 from catalog.errors import DataError
-from catalog.files import starts_with, write_output
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.progress import Progress
 from catalog.rasters import TERRAIN, open_raster, reading_raster
@@ -121,10 +120,7 @@ def write_wrong_model(path: Path, seed: int) -> Path:
         heights = dataset.read(1).astype(np.float32)
         crs, transform = dataset.crs, dataset.transform
     heights += descent_model.model_error(heights.shape, WRONG_M, np.random.default_rng(seed))
-    data = descent_model.geotiff(heights, crs, transform)
-    if not (path.is_file() and path.read_bytes() == data):
-        write_output(path, data, starts_with(data[:4]))
-    return path
+    return flights.written_model(path, heights, crs, transform)
 
 
 def fly(

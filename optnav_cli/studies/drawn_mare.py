@@ -11,18 +11,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import rasterio
 from affine import Affine
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import load_body
 from catalog.build.ingest import Bbox
 from catalog.config import resource
-from catalog.files import starts_with, write_output
+from catalog.rasters import TERRAIN, open_raster, reading_raster
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.synthetic.model_error import rms_slope
-from optnav_cli.simulation import descent_model
 from optnav_cli.simulation.globe_heights import sample_spline, spline_coefficients
 from optnav_cli.studies import flights
 
@@ -43,20 +41,17 @@ def write_drawn_mare(folder: Path) -> Path:
         cols, rows = source.pixel_from_latlon(np.radians([north, south]), np.radians([west, east]))
         (top, bottom), (left, right) = (np.rint(ends + 0.5).astype(int) for ends in (rows, cols))
         heights = source.read_window(top, left, bottom - top, right - left)
-    with rasterio.open(path) as dataset:
+    with open_raster(path, TERRAIN) as dataset, reading_raster(path):
         place = dataset.transform @ Affine.translation(left, top) @ Affine.scale(0.5)
         crs, posting_m = dataset.crs, 0.5 * dataset.res[0]
     drawn = drawn_finer(heights, posting_m, fine_relief(real_heights(), posting_m))
-    data = descent_model.geotiff(drawn, crs, place)
-    model = folder / NAME
-    if not (model.is_file() and model.read_bytes() == data):
-        write_output(model, data, starts_with(data[:4]))
-    return model
+    return flights.written_model(folder / NAME, drawn, crs, place)
 
 
 def real_heights() -> Float32Array:
     """The bundled crop of 474 m, an even number of nodes along each side."""
-    with rasterio.open(resource(REAL)) as dataset:
+    path = resource(REAL)
+    with open_raster(path, TERRAIN) as dataset, reading_raster(path):
         heights = dataset.read(1).astype(np.float32)
     rows, cols = (n // 2 * 2 for n in heights.shape)
     return np.ascontiguousarray(heights[:rows, :cols])

@@ -14,6 +14,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import Float32Array
 from catalog.build import build
 from catalog.build.ingest import Bbox
 from catalog.config import resource
@@ -29,6 +30,7 @@ from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.simulation import descent_model
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
 from optnav_cli.simulation.scenario_base import ScenarioBase
 from optnav_cli.studies.tables import Cell, StudyTable, columns
@@ -94,9 +96,22 @@ def rows_named(rows: Sequence[R], part: str) -> list[R]:
 def check_shared_files(scenarios: Iterable[str]) -> None:
     """Raise ConfigError for a shared albedo map that shipped scenarios need and that is missing."""
     for name in scenarios:
-        albedo_map = load_scenario(resource(f"configs/scenarios/{name}.toml")).world.albedo_map
+        albedo_map = shipped_scenario(name).world.albedo_map
         if albedo_map:
             path_of(albedo_map.path, Path.cwd())
+
+
+def written_model(path: Path, heights: Float32Array, crs: object, transform: object) -> Path:
+    """A drawn terrain model as GeoTIFF; left alone when it is there already."""
+    data = descent_model.geotiff(heights, crs, transform)
+    if not (path.is_file() and path.read_bytes() == data):
+        write_output(path, data, starts_with(data[:4]))
+    return path
+
+
+def shipped_scenario(name: str) -> ScenarioBase:
+    """A scenario of configs/scenarios."""
+    return load_scenario(resource(f"configs/scenarios/{name}.toml"))
 
 
 def shipped_pictures(output: Path, name: str, frames: int | None, progress: Progress) -> Path:
@@ -104,7 +119,7 @@ def shipped_pictures(output: Path, name: str, frames: int | None, progress: Prog
 
     output  the study's folder;  frames  pictures of the scenario, its own number when None
     """
-    scenario = load_scenario(resource(f"configs/scenarios/{name}.toml"))
+    scenario = shipped_scenario(name)
     if frames is not None:
         scenario = scenario.shortened(frames)
     return made_pictures(scenario, output / "pictures" / name, progress)

@@ -12,7 +12,7 @@ albedo; own rows over the terrain model with relief below its posting, as in all
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -30,7 +30,6 @@ from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.output.run_folder import SOLUTION
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.studies import drawn_mare, flights
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
@@ -58,7 +57,15 @@ class FlightCase(flights.Case):
         return flights.ground_of(self.scenarios[0])
 
 
-MARE = (17.0, 3.0, 35.0, 21.0)
+MARE = FlightCase(
+    "real, 1° cells of 948 m, mare: unk 400 km",
+    ("real_mare_400km",),
+    1.0,
+    30.0,
+    75.0,
+    "mare",
+    (17.0, 3.0, 35.0, 21.0),
+)
 DRAWN_FRAMES = 40
 REAL_SHNK = ("real_shnk_100km", "real_shnk_200km", "real_shnk_400km")
 ROWS = (
@@ -75,25 +82,8 @@ ROWS = (
         75.0,
         "farside",
     ),
-    FlightCase(
-        "real, 1° cells of 948 m, mare: unk 400 km",
-        ("real_mare_400km",),
-        1.0,
-        30.0,
-        75.0,
-        "mare",
-        MARE,
-    ),
-    FlightCase(
-        "real, 1° cells of 474 m, mare drawn below 948 m: unk 400 km",
-        ("real_mare_400km",),
-        1.0,
-        30.0,
-        75.0,
-        "mare",
-        MARE,
-        drawn=True,
-    ),
+    MARE,
+    replace(MARE, name="real, 1° cells of 474 m, mare drawn below 948 m: unk 400 km", drawn=True),
     FlightCase("unk 200 km, 1° cells", ("unk_200km",), 1.0, 30.0, 150.0),
     FlightCase("unk 200 km, 0.5° cells", ("unk_200km",), 0.5, 20.0, 80.0),
     FlightCase("unk 400 km, 1° cells", ("unk_400km",), 1.0, 20.0, 50.0),
@@ -138,10 +128,10 @@ def run(
     make_folder(output)
     results: list[FlightResult] = []
     for row in chosen:
+        model = drawn_mare.write_drawn_mare(output) if row.drawn else None
         for star_sensor in (False, True):
             parts = []
             for name in row.scenarios:
-                model = drawn_mare.write_drawn_mare(output) if row.drawn else None
                 pictures = _pictures(output, name, model, frames, progress)
                 if star_sensor:
                     pictures = flights.with_star_sensor(pictures)
@@ -170,7 +160,7 @@ def _pictures(
     """The pictures of a shipped scenario; over another model DRAWN_FRAMES, of other places."""
     if model is None:
         return flights.shipped_pictures(output, name, frames, progress)
-    scenario = load_scenario(resource(f"configs/scenarios/{name}.toml"))
+    scenario = flights.shipped_scenario(name)
     dem = (DemSettings(path=str(model)),)
     other = msgspec.structs.replace(scenario, seed=scenario.seed + 1, dem=dem)
     other = other.shortened(DRAWN_FRAMES if frames is None else frames)

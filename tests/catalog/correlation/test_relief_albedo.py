@@ -131,14 +131,16 @@ def test_points_of_a_picture_tell_its_strengths_and_hold_each_other() -> None:
     assert frame_strengths([]) == shipped_strengths()
 
 
-def test_crests_are_below_zero_and_slopes_are_steep() -> None:
-    away = np.abs(np.arange(81.0) - 40.0)
-    ridge = np.repeat(-25.0 * away[:, None], 81, axis=1)
-    steep, crests = steepness_and_crests(ridge, 250.0)
-    assert steep[20, 40] == pytest.approx(0.1, rel=0.01)
+@pytest.mark.parametrize("columns_m", [250.0, 125.0])
+def test_crests_are_below_zero_and_slopes_are_steep(columns_m: float) -> None:
+    away = np.abs(np.arange(161.0) - 80.0)
+    ridge = np.repeat(-25.0 * away[:, None], 161, axis=1)
+    steep, crests = steepness_and_crests(ridge, (250.0, columns_m))
+    assert steep[40, 80] == pytest.approx(0.1, rel=0.01)
     # a ridge of 0.1 to both sides, rounded by a Gaussian, bends most at its middle
-    assert crests[40, 40] == pytest.approx(-0.2 * 1e3 / (np.sqrt(2.0 * np.pi) * SMOOTH_M), rel=0.05)
-    assert crests[20, 40] == pytest.approx(0.0, abs=1e-3)
+    width_m = SMOOTH_M * np.sqrt(250.0 / columns_m)  # as many nodes along rows as along columns
+    assert crests[80, 80] == pytest.approx(-0.2 * 1e3 / (np.sqrt(2.0 * np.pi) * width_m), rel=0.05)
+    assert crests[40, 80] == pytest.approx(0.0, abs=1e-3)
 
 
 def test_the_patterns_are_of_the_ground_not_of_its_nodes() -> None:
