@@ -17,6 +17,8 @@ CASE ?=
 # One process a core, a test file at a time, in the order of the folders, so that what the tests of
 # a file share is made once and the longest files do not come last.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
+# With threads of its own in each of these, products of small matrices take four times as long.
+ONE_THREAD := OPENBLAS_NUM_THREADS=1
 
 .PHONY: help setup demo test check lint types tests fuzz bench bench-global golden docs newest lock clean
 
@@ -54,7 +56,7 @@ types: $(READY) ## types alone
 	$(BIN)/mypy
 
 tests: $(READY) ## tests alone (ARGS="-k nearest -x" is handed to pytest; -n 0: one process)
-	$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
+	$(ONE_THREAD) $(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 fuzz: $(READY) ## hostile inputs (N=500 SEED=1; one of them again: CASE=kind:seed; KINDS=config)
 	$(BIN)/python -m tests.fuzz -n $(N) --seed $(SEED) --kinds "$(KINDS)" --case "$(CASE)" $(ARGS)
@@ -63,7 +65,7 @@ study-%: $(READY) ## one long experiment behind the figures, such as study-selec
 	$(BIN)/optnav study $* $(ARGS)
 
 bench: $(READY) ## speed, as ratios to well-known tools on this machine (STORE=yes keeps the table)
-	OPTNAV_BENCH=full OPTNAV_BENCH_STORE=$(STORE) OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/bench -m bench -q -s $(ARGS)
+	OPTNAV_BENCH=full OPTNAV_BENCH_STORE=$(STORE) $(ONE_THREAD) $(BIN)/python -m pytest tests/bench -m bench -q -s $(ARGS)
 
 bench-global: $(if $(DIR),$(READY)) ## a catalog of the whole Moon at full size (DIR=/some/folder, 19 GB; an hour)
 	@[ -n "$(DIR)" ] || \
