@@ -1,17 +1,21 @@
 """How bright the true ground is from place to place: a map of the body, and 1/f noise.
 
 Each octave of the noise changes brightness by the same share, as albedo of the Moon does: 3-7 % rms
-an octave from 2.7 to 21 km (LROC colour map of 2025, decoded).
+an octave from 2.7 to 21 km (LROC colour map of 2025, decoded). Below a map's pixels that share is
+what the map's own finest octave has there: in the LROC map 3.5 % over most maria, 6 % over much of
+the highlands.
 """
 
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numba
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
+from catalog.correlation.ncc import low_pass
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.kernel import parallel_kernel
@@ -22,7 +26,8 @@ from catalog.terrain.dem.file import path_of, place_of
 from catalog.terrain.synthetic import fractal
 from optnav_cli.simulation.sections import AlbedoMapSettings, TruthSettings
 
-SHARE = 0.05  # rms an octave
+SHARE = 0.05  # rms an octave, where no map tells
+AROUND_PIXELS = 8.0  # sigma of the ground over which a map's finest octave is taken
 MAX_SPACING_M, MIN_SPACING_M = 60e3, 10.0  # spacings of the noise where no map is
 FINER_THAN_MAP = 2.0  # the longest wave of the noise below a map, in its pixels
 ALBEDO_STREAM = 1 << 41
@@ -54,9 +59,11 @@ class Albedo:
         logs = np.zeros(len(directions))
         noise = self._noise._replace(seed=seed + ALBEDO_STREAM)
         _add_octaves(logs, noise, directions, sizes_m)
-        found: FloatArray = np.exp(logs)
-        if self._map is not None:
-            found *= self._map.at(directions)
+        if self._map is None:
+            found: FloatArray = np.exp(logs)
+        else:
+            brightness, share = self._map.at(directions)
+            found = brightness * np.exp(logs * (share / SHARE))
         return np.clip(found, MIN_FACTOR, MAX_FACTOR).astype(np.float32)
 
     def on_body(self, seed: int, body_from_scene: FloatArray) -> Reflectivity:
@@ -69,7 +76,7 @@ class Albedo:
 
 
 class AlbedoMap:
-    """A brightness map over its mean; 1 outside of it."""
+    """A brightness map over its mean, and what its finest octave holds; 1 and SHARE outside."""
 
     def __init__(self, settings: AlbedoMapSettings, body: Body) -> None:
         path = path_of(settings.path, Path.cwd())
@@ -91,13 +98,15 @@ class AlbedoMap:
         if not mean > 0.0:
             raise DataError(f"{path}: holds no brightness above 0; name another albedo_map")
         self._values = values / np.float32(mean)
+        self._shares = finest_share(self._values)
         if self._place is None:
             self.posting_m = float(np.radians(self._extent[3] - self._extent[1])) / rows
             self.posting_m *= body.radius_m
         else:
             self.posting_m = self._place.row_angle * body.radius_m
 
-    def at(self, directions: FloatArray) -> FloatArray:
+    def at(self, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Brightness (n,) and rms share an octave (n,) at unit directions (n, 3)."""
         lat, lon, _ = latlon_from_xyz(directions)
         rows, cols = self._values.shape
         if self._place is not None:
@@ -111,9 +120,25 @@ class AlbedoMap:
         # within half a pixel of an edge the outermost one counts
         inside = (row >= -0.5) & (row <= rows - 0.5) & (col >= -0.5) & (col <= cols - 0.5)
         row, col = np.clip(row, 0.0, rows - 1.0), np.clip(col, 0.0, cols - 1.0)
-        found = sample_bicubic(self._values, row, col).astype(np.float64)
-        found[~inside | ~np.isfinite(found)] = 1.0
-        return found
+        found = []
+        for values, elsewhere in ((self._values, 1.0), (self._shares, SHARE)):
+            at = sample_bicubic(values, row, col).astype(np.float64)
+            at[~inside | ~np.isfinite(at)] = elsewhere
+            found.append(at)
+        return found[0], found[1]
+
+
+def finest_share(brightness: Float32Array) -> Float32Array:
+    """Rms (n, m) about each pixel of what the finest octave changes of a brightness (n, m).
+
+    Of its logarithm less the means over 2 x 2 pixels, which of 1/f noise is one octave.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.log(brightness)
+    logs[~np.isfinite(logs)] = np.nan
+    square = (logs - cv2.blur(logs, (2, 2))) ** 2
+    shares: Float32Array = np.sqrt(low_pass(square, AROUND_PIXELS))
+    return shares
 
 
 def _placed(path: Path, body: Body, dataset: Any) -> Any:

@@ -175,7 +175,7 @@ class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     model_error  what the terrain model is wrong by: "none", "gld100" (LROC WAC GLD100 against
                  LOLA), or a table
     albedo       "uniform", "fractal" (5 % rms an octave), or "real": albedo_map, and fractal
-                 below its pixels
+                 below its pixels, as much an octave as it has itself about each place
     phase_law    "catalog": the law that catalogs are rendered by; "other": another surface's
     camera       "exact", or "drawn": blur and mounting as far off as the camera file's sigmas say
     """

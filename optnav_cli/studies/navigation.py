@@ -38,9 +38,10 @@ from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 class FlightCase(flights.Case):
     """One line of the table: scenarios pooled, the catalog's cell, and the figures to reach.
 
-    catalog  of configs/catalogs
-    bbox     west, south, east, north of its cells, deg; None: all that the terrain model shows
-    drawn    over the model of drawn_mare.py
+    catalog    of configs/catalogs
+    bbox       west, south, east, north of its cells, deg; None: all that the terrain model shows
+    drawn      over the model of drawn_mare.py
+    posting_m  of its finest patches; None: of its terrain model
     """
 
     scenarios: tuple[str, ...]
@@ -50,6 +51,7 @@ class FlightCase(flights.Case):
     catalog: str = "tycho"
     bbox: Bbox | None = None
     drawn: bool = False
+    posting_m: float | None = None
 
     @property
     def ground(self) -> str:
@@ -67,6 +69,12 @@ MARE = FlightCase(
     (17.0, 3.0, 35.0, 21.0),
 )
 DRAWN_FRAMES = 40
+# The seed of its pictures after that of the scenario: the patches' posting of 237 m was chosen on
+# ten pictures of the first seed after it.
+DRAWN_SEED = 2
+# Half of a model's 474 m, which pixels of 96 m resolve: shading from node to node of the model
+# itself lacks most of what its waves of two to four nodes show.
+HALF_474_M = 236.9
 REAL_SHNK = ("real_shnk_100km", "real_shnk_200km", "real_shnk_400km")
 ROWS = (
     FlightCase("real, 1° cells: unk 200 km", ("real_unk_200km",), 1.0, 30.0, 70.0),
@@ -81,9 +89,15 @@ ROWS = (
         30.0,
         75.0,
         "farside",
+        posting_m=HALF_474_M,
     ),
     MARE,
-    replace(MARE, name="real, 1° cells of 474 m, mare drawn below 948 m: unk 400 km", drawn=True),
+    replace(
+        MARE,
+        name="real, 1° cells of 474 m, mare drawn below 948 m: unk 400 km",
+        drawn=True,
+        posting_m=HALF_474_M,
+    ),
     FlightCase("unk 200 km, 1° cells", ("unk_200km",), 1.0, 30.0, 150.0),
     FlightCase("unk 200 km, 0.5° cells", ("unk_200km",), 0.5, 20.0, 80.0),
     FlightCase("unk 400 km, 1° cells", ("unk_400km",), 1.0, 20.0, 50.0),
@@ -139,7 +153,8 @@ def run(
                 place.parent.mkdir(exist_ok=True)
                 if not (kept and (place / SOLUTION).is_file()):
                     wanted = row.catalog, row.cell_deg, flights.points_error_of(name)
-                    catalog = case_catalog(output, *wanted, progress, row.bbox, model)
+                    where = row.bbox, model, row.posting_m
+                    catalog = case_catalog(output, *wanted, progress, *where)
                     # a row without any solution is a figure, too
                     with suppress(NothingToDoError):
                         navigate_folder(RunInputs(pictures, [catalog]), place, progress)
@@ -162,7 +177,7 @@ def _pictures(
         return flights.shipped_pictures(output, name, frames, progress)
     scenario = flights.shipped_scenario(name)
     dem = (DemSettings(path=str(model)),)
-    other = msgspec.structs.replace(scenario, seed=scenario.seed + 1, dem=dem)
+    other = msgspec.structs.replace(scenario, seed=scenario.seed + DRAWN_SEED, dem=dem)
     other = other.shortened(DRAWN_FRAMES if frames is None else frames)
     return flights.made_pictures(other, output / "pictures" / f"{name}_drawn", progress)
 
@@ -175,12 +190,14 @@ def case_catalog(
     progress: Progress,
     bbox: Bbox | None = None,
     model: Path | None = None,
+    posting_m: float | None = None,
 ) -> Path:
     """The catalog of a shipped configuration at a cell size, in the study's folder.
 
-    stated  the error of its terrain model, by numbers or not at all
-    bbox    west, south, east, north of its cells, deg
-    model   instead of the configuration's, if that is the shared one of the whole Moon
+    stated     the error of its terrain model, by numbers or not at all
+    bbox       west, south, east, north of its cells, deg
+    model      instead of the configuration's, if that is the shared one of the whole Moon
+    posting_m  of its finest patches; None: of its terrain model
     """
     text = resource(f"configs/catalogs/{name}.toml").read_text(encoding="utf-8")
     if model is not None:
@@ -190,8 +207,11 @@ def case_catalog(
         numbers = {"error_m": stated.error_m, "resolution_km": stated.resolution_km}
         lines = (f"{key} = {value}\n" for key, value in numbers.items() if value is not None)
         text = text.replace("[[dem]]\n", "[[dem]]\n" + "".join(lines))
-    config = output / f"{name}-{cell_deg:g}deg.toml"
-    return flights.built_catalog(config, f"{text}\n[grid]\ncell_deg = {cell_deg}\n", progress, bbox)
+    text += f"\n[grid]\ncell_deg = {cell_deg}\n"
+    if posting_m is not None:
+        name += f"-patches_{posting_m:g}m"
+        text += f"\n[pyramid]\nposting_m = {posting_m}\n"
+    return flights.built_catalog(output / f"{name}-{cell_deg:g}deg.toml", text, progress, bbox)
 
 
 COLUMNS = columns(

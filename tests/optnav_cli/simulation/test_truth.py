@@ -126,6 +126,24 @@ def test_a_map_is_decoded_and_read_where_its_edges_say(tmp_path):
     assert ratio[0] == pytest.approx(2.0, rel=0.02)
 
 
+def test_below_a_map_albedo_goes_on_as_strong_as_the_map_is_there(tmp_path):
+    # white noise leaves the root of 3/4 of itself over means of 2 x 2 pixels
+    wanted = {-1.0: 0.02, 1.0: 0.08}
+    rms = np.where(np.arange(720) < 360, *wanted.values()) / np.sqrt(0.75)
+    noise = np.random.default_rng(5).normal(0.0, 1.0, (360, 720)) * rms
+    cv2.imwrite(str(tmp_path / "map.tif"), np.exp(noise).astype(np.float32))
+    settings = AlbedoMapSettings(path=str(tmp_path / "map.tif"), extent_deg=EXTENT, coding="linear")
+    albedo = Albedo(TruthSettings(albedo="real", albedo_map=settings), load_body("moon"))
+    pixel_m = 0.5 * 1737.4e3 * np.pi / 180.0
+    for lon, share in wanted.items():
+        spots = xyz_from_latlon(np.linspace(-0.5, 0.5, 4000), lon, 1.0)
+        coarse, fine = (
+            np.log(albedo.factors(1, spots, np.full(4000, size))).var()
+            for size in (pixel_m / 2.0, pixel_m / 8.0)
+        )
+        assert fine - coarse == pytest.approx(2.0 * share**2, rel=0.3)
+
+
 def test_a_map_with_a_coordinate_system_needs_no_edges(tmp_path):
     values = np.ones((1, 60, 60), np.float32)
     values[:, :, 30:] = 3.0

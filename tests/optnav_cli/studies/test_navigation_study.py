@@ -1,5 +1,7 @@
 """The navigation study's tables, and that its rows name scenarios and catalogs that are there."""
 
+import tomllib
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -7,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from catalog.config import resource
 from catalog.errors import ConfigError
 from catalog.progress import SilentProgress
+from catalog.terrain.error_model import StatedError
 from optnav_cli.evaluation.evaluation import Evaluation
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.simulation.scenario import load_scenario
@@ -81,3 +84,18 @@ def test_kept_runs_are_evaluated_without_a_catalog(tmp_path, monkeypatch) -> Non
     found = run(tmp_path, SilentProgress(), rows=REAL.name, kept=True)
     assert asked == [place, place]
     assert [result.evaluation.frames[0].file for result in found] == ["a.png", "a.png"]
+
+
+def test_a_catalog_has_patches_of_the_posting_that_a_row_names(tmp_path, monkeypatch) -> None:
+    written = {}
+
+    def built(config, text, progress, bbox):
+        written[config.name] = tomllib.loads(text)
+        return config
+
+    monkeypatch.setattr(navigation.flights, "built_catalog", built)
+    for posting_m in (None, 236.9):
+        given = "farside", 1.0, StatedError(), SilentProgress(), None, None, posting_m
+        navigation.case_catalog(tmp_path, *given)
+    plain, halved = written.values()
+    assert halved == plain | {"pyramid": {"posting_m": 236.9}}
