@@ -62,8 +62,8 @@ class Albedo:
         if self._map is None:
             found: FloatArray = np.exp(logs)
         else:
-            brightness, share = self._map.at(directions)
-            found = brightness * np.exp(logs * (share / SHARE))
+            logs *= self._map.share_at(directions) / SHARE
+            found = self._map.at(directions) * np.exp(logs)
         return np.clip(found, MIN_FACTOR, MAX_FACTOR).astype(np.float32)
 
     def on_body(self, seed: int, body_from_scene: FloatArray) -> Reflectivity:
@@ -105,8 +105,17 @@ class AlbedoMap:
         else:
             self.posting_m = self._place.row_angle * body.radius_m
 
-    def at(self, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Brightness (n,) and rms share an octave (n,) at unit directions (n, 3)."""
+    def at(self, directions: FloatArray) -> FloatArray:
+        """Brightness (n,) at unit directions (n, 3)."""
+        return self._sampled(self._values, 1.0, directions)
+
+    def share_at(self, directions: FloatArray) -> FloatArray:
+        """Rms change (n,) of brightness in the map's finest octave about unit directions (n, 3)."""
+        return self._sampled(self._shares, SHARE, directions)
+
+    def _sampled(
+        self, values: Float32Array, elsewhere: float, directions: FloatArray
+    ) -> FloatArray:
         lat, lon, _ = latlon_from_xyz(directions)
         rows, cols = self._values.shape
         if self._place is not None:
@@ -120,12 +129,9 @@ class AlbedoMap:
         # within half a pixel of an edge the outermost one counts
         inside = (row >= -0.5) & (row <= rows - 0.5) & (col >= -0.5) & (col <= cols - 0.5)
         row, col = np.clip(row, 0.0, rows - 1.0), np.clip(col, 0.0, cols - 1.0)
-        found = []
-        for values, elsewhere in ((self._values, 1.0), (self._shares, SHARE)):
-            at = sample_bicubic(values, row, col).astype(np.float64)
-            at[~inside | ~np.isfinite(at)] = elsewhere
-            found.append(at)
-        return found[0], found[1]
+        found = sample_bicubic(values, row, col).astype(np.float64)
+        found[~inside | ~np.isfinite(found)] = elsewhere
+        return found
 
 
 def finest_share(brightness: Float32Array) -> Float32Array:
@@ -136,7 +142,7 @@ def finest_share(brightness: Float32Array) -> Float32Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = np.log(brightness)
     logs[~np.isfinite(logs)] = np.nan
-    square = (logs - cv2.blur(logs, (2, 2))) ** 2
+    square: Float32Array = np.square(logs - cv2.blur(logs, (2, 2))).astype(np.float32)
     shares: Float32Array = np.sqrt(low_pass(square, AROUND_PIXELS))
     return shares
 
