@@ -59,6 +59,9 @@ class FlightCase(flights.Case):
         return flights.ground_of(self.scenarios[0])
 
 
+# Half of a model's posting, where pixels of 96 m resolve it: shading from node to node of the model
+# itself lacks most of what its waves of two to four nodes show.
+HALF_948_M, HALF_474_M = 473.8, 236.9
 MARE = FlightCase(
     "real, 1° cells of 948 m, mare: unk 400 km",
     ("real_mare_400km",),
@@ -67,14 +70,12 @@ MARE = FlightCase(
     75.0,
     "mare",
     (17.0, 3.0, 35.0, 21.0),
+    posting_m=HALF_948_M,
 )
 DRAWN_FRAMES = 40
 # The seed of its pictures after that of the scenario: the patches' posting of 237 m was chosen on
 # ten pictures of the first seed after it.
 DRAWN_SEED = 2
-# Half of a model's 474 m, which pixels of 96 m resolve: shading from node to node of the model
-# itself lacks most of what its waves of two to four nodes show.
-HALF_474_M = 236.9
 REAL_SHNK = ("real_shnk_100km", "real_shnk_200km", "real_shnk_400km")
 ROWS = (
     FlightCase("real, 1° cells: unk 200 km", ("real_unk_200km",), 1.0, 30.0, 70.0),
