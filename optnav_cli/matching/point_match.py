@@ -46,8 +46,8 @@ CHANCE_NODES_PER_SAMPLE = 6.0
 MARGIN_NODES = 8
 
 # How strong albedo that follows relief is was measured at nodes of 948 m; of much finer relief
-# nothing is known.
-MIN_ALBEDO_POSTING_M = 400.0
+# nothing is known. A catalog's finest patches may have half the posting of its terrain model.
+MIN_ALBEDO_POSTING_M, MIN_FINEST_ALBEDO_POSTING_M = 400.0, 200.0
 
 OUTSIDE = Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame")
 
@@ -201,7 +201,8 @@ def match_point(
         return PointMatch(level, reason, expected + shift, covariance, offset, *scores, part)
 
     found = placed(match)
-    coarse = posting >= MIN_ALBEDO_POSTING_M and not (blur_nodes or plan.interim or plan.soft_nodes)
+    least = MIN_ALBEDO_POSTING_M if level else MIN_FINEST_ALBEDO_POSTING_M
+    coarse = posting >= least and not (blur_nodes or plan.interim or plan.soft_nodes)
     if found.reason or not coarse or template is not rendered:
         return found
 
