@@ -73,7 +73,7 @@ MARE = FlightCase(
     posting_m=HALF_948_M,
 )
 DRAWN_FRAMES = 40
-# The seed of its pictures after that of the scenario. On ten pictures of the first seed after it the
+# The seed of its pictures after that of the scenario. On ten pictures of the first one after it the
 # patches' posting was chosen; the second showed that albedo is to be fitted at these, too.
 DRAWN_SEED = 3
 REAL_SHNK = ("real_shnk_100km", "real_shnk_200km", "real_shnk_400km")

@@ -106,8 +106,12 @@ def test_albedo_that_follows_relief_moves_no_point(rough_world, reference, monke
     picture = picture_of(reference, truth, high, strengths=(1.0, -1.0))
     # nodes of 118 m are finer than what was measured
     plain = search(reference, picture, truth, high, gates=MatchGates(0.2, 0.9))
-    monkeypatch.setattr(point_match, "MIN_ALBEDO_POSTING_M", 100.0)
+    monkeypatch.setattr(point_match, "MIN_FINEST_ALBEDO_POSTING_M", 100.0)
     found = search(reference, picture, truth, high, gates=MatchGates(0.2, 0.9))
+    # of coarser levels more is asked
+    coarser = search(reference, picture, truth, high, level=1, template_nodes=32, search_nodes=6)
+    assert not coarser.reason
+    assert coarser.albedo is None
     assert plain.albedo is None
     assert plain.under(shipped_strengths()) is plain
     assert plain.offset_m[0] < -10.0
