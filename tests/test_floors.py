@@ -14,7 +14,7 @@ PACKAGES = ("catalog", "optnav_cli")
 # Lowest first. An image arrives with the first floor of optnav_cli.
 FLOORS = (
     {"catalog.errors", "catalog.arrays"},
-    {"catalog.inputs"},
+    {"catalog.inputs", "catalog.keywords", "catalog.special_values"},
     {"catalog.places"},
     {"catalog.config", "catalog.progress", "catalog.files", "catalog.cache", "catalog.geometry"},
     {"catalog.rasters"},
