@@ -26,6 +26,7 @@ Arcsec = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 ErrorM = Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
 Size = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]  # km: from a boulder to the Sun
 Naif = Annotated[int, msgspec.Meta(ge=-(2**31), le=2**31 - 1)]
+Coefficient = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]  # of gravity
 Offset = Annotated[float, msgspec.Meta(ge=-1e7, le=1e7)]  # m
 Height = Annotated[float, msgspec.Meta(ge=-1e7, le=1e7)]  # km
 Year = Annotated[float, msgspec.Meta(ge=-10_000.0, le=20_000.0)]
@@ -97,18 +98,28 @@ class RotationSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True, ca
     terms: tuple[RotationTerm, ...] = ()
 
 
-class GravityField(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The largest terms of a body's gravity beside the point mass, in its body frame.
+class GravityField(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Lists the largest terms of a body's gravity beside the point mass, in its body frame.
 
-    j2, c22    unnormalised, for radius_km
-    kaula      the terms left out: degree n from 3 on has normalised coefficients of about
-               kaula / n^2 (Kaula's rule)
+    j2, c22, s22  unnormalised, for radius_km, as are the zonal terms j3 to j6
+    kaula         the terms left out: degree n from 3 on has normalised coefficients of about
+                  kaula / n^2 (Kaula's rule); None for the Earth's, scaled by the gravity
     """
 
-    j2: Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
-    c22: Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
+    j2: Coefficient
+    c22: Coefficient = 0.0
+    s22: Coefficient = 0.0
+    j3: Coefficient = 0.0
+    j4: Coefficient = 0.0
+    j5: Coefficient = 0.0
+    j6: Coefficient = 0.0
     radius_km: Size
-    kaula: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+    kaula: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None = None
+
+    @property
+    def zonals(self) -> tuple[float, ...]:
+        """The zonal terms j2 to j6."""
+        return self.j2, self.j3, self.j4, self.j5, self.j6
 
 
 class LockedOrbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

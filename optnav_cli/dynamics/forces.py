@@ -1,11 +1,11 @@
 """Forces on a craft near a body, and its orbit: gravity field, tides, sunlight, thrust; the rest.
 
-By itself J2, C22 and tides; [forces] of a file asks for more. What the field leaves out is known in
-size only: by Kaula's rule (Kaula, "Theory of Satellite Geodesy", 1966) the normalised coefficients
-of degree n are about kaula / n^2. A craft meets it as noise that changes while it flies over a
-wavelength. With J2 and C22 alone it is 0.8 mm/s^2 at 100 km over the Moon, the neglected sunlight
-pressure 1e-4 of that. About a moon near its planet the planet's tide is the larger force, and what
-is wrong with it lasts: at 300 km from Phobos 0.03 of 30 mm/s^2.
+By itself the terms of the body's file and tides; [forces] of a file asks for more. What the field
+leaves out is known in size only: by Kaula's rule (Kaula, "Theory of Satellite Geodesy", 1966) the
+normalised coefficients of degree n are about kaula / n^2. A craft meets it as noise that changes
+while it flies over a wavelength. With J2 and C22 alone it is 0.8 mm/s^2 at 100 km over the Moon,
+the neglected sunlight pressure 1e-4 of that. About a moon near its planet the planet's tide is the
+larger force, and what is wrong with it lasts: at 300 km from Phobos 0.03 of 30 mm/s^2.
 
 A body whose file has no [gravity] is taken for its ellipsoid at even density. That gives Mars' J2
 to 20 %, Phobos' to 4 %; what is left out then begins with degree 2, of the size that Kaula's rule
@@ -90,10 +90,14 @@ class Forces:
         self.gm = body.gm_m3_s2
         self._gravity = body.gravity or even_field(body)
         field = named_field(body, settings, beside)
-        self.field = field or oblate_field(self._gravity, f"J2 and C22 of {body.name}")
+        self.field = field or oblate_field(self._gravity, f"gravity of {body.name}'s file")
         self._radius_m = self._gravity.radius_km * 1e3
         self._tables = harmonic_tables(self.field, min(self.field.degree, GRADIENT_DEGREE))
-        self._left_out = self._coefficients_left_out(known=field is not None or bool(body.gravity))
+        kaula = self._gravity.kaula
+        self._kaula = kaula_by_gravity(body) if kaula is None else kaula
+        self._left_out = self._coefficients_left_out(
+            whole=field is not None, known=field is not None or bool(body.gravity)
+        )
         planet: tuple[Neighbour, ...] = () if body.orbit is None else (body.orbit.around,)
         names: list[Neighbour] = [*NEIGHBOURS.get(body.name, ()), *planet]
         bodies = [load_body(name) for name in names]
@@ -206,18 +210,26 @@ class Forces:
         found: FloatArray = self._tide_error * np.linalg.norm(positions_m, axis=-1)
         return found
 
-    def _coefficients_left_out(self, *, known: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _coefficients_left_out(
+        self, *, known: bool, whole: bool = True
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Degrees, the rms of their coefficients' errors and their shares of the pull squared.
 
         All of a coefficient is an error above the field's degree.
 
+        whole  whether the field has all orders of its degrees; otherwise zonal ones from degree 3
         known  whether the field is the body's own, so that degree 2 is in it
         """
         top = self.field.degree
         n = np.arange(3.0 if known else 2.0, max(LAST_DEGREE, top + BEYOND_FIELD) + 1.0)
-        sizes = self._gravity.kaula / n**2
-        inside = n <= top if known else np.zeros(len(n), dtype=bool)
-        if self.field.errors is not None:
+        sizes = self._kaula / n**2
+        inside = n <= top
+        if not known:
+            pass  # the ellipsoid's degree 2 is a guess: all of it may be wrong
+        elif not whole:
+            zonal = self.field.c[n[inside].astype(int), 0] != 0.0
+            sizes[inside] *= np.sqrt(1.0 - zonal / (2.0 * n[inside] + 1.0))
+        elif self.field.errors is not None:
             sizes[inside] = self.field.errors[n[inside].astype(int)]
         else:
             sizes[inside] *= np.where(n[inside] > SURE_DEGREE, self.settings.field_error, 0.0)
@@ -227,15 +239,20 @@ class Forces:
 
 
 def even_field(body: Body) -> GravityField:
-    """The field of a body's ellipsoid at even density, and Kaula's rule for a body so heavy."""
+    """Return the field of a body's ellipsoid at even density."""
     x, y, z = body.radii_m
-    radius, gravity = body.radius_m, body.gm_m3_s2 / body.radius_m**2
+    radius = body.radius_m
     return GravityField(
         j2=(x**2 + y**2 - 2.0 * z**2) / (10.0 * radius**2),
         c22=(x**2 - y**2) / (20.0 * radius**2),
         radius_km=radius / 1e3,
-        kaula=min(EARTH_KAULA * (EARTH_GRAVITY_M_S2 / gravity) ** 2, MAX_KAULA),
     )
+
+
+def kaula_by_gravity(body: Body) -> float:
+    """Return the constant of Kaula's rule for a body of such gravity at its surface."""
+    gravity = body.gm_m3_s2 / body.radius_m**2
+    return min(EARTH_KAULA * (EARTH_GRAVITY_M_S2 / gravity) ** 2, MAX_KAULA)
 
 
 def _principal_from_mean_earth() -> FloatArray:

@@ -68,15 +68,18 @@ class HarmonicField:
 
 
 def oblate_field(gravity: GravityField, source: str) -> HarmonicField:
-    """J2 and C22 of a body's file, as a field of degree 2."""
-    c, s = np.zeros((3, 3)), np.zeros((3, 3))
-    c[2, 0] = -gravity.j2 / math.sqrt(5.0)
+    """Normalise the terms of a body's file: a field of the highest degree that it states."""
+    degree = max(n for n, zonal in enumerate(gravity.zonals, start=2) if zonal or n == 2)
+    c, s = np.zeros((2, degree + 1, degree + 1))
+    for n, zonal in enumerate(gravity.zonals[: degree - 1], start=2):
+        c[n, 0] = -zonal / math.sqrt(2.0 * n + 1.0)
     c[2, 2] = gravity.c22 * math.sqrt(12.0 / 5.0)
+    s[2, 2] = gravity.s22 * math.sqrt(12.0 / 5.0)
     return HarmonicField(gravity.radius_km * 1e3, c, s, None, source)
 
 
 def named_field(body: Body, settings: ForcesSettings, beside: Path) -> HarmonicField | None:
-    """The field that [forces] names, of its degree; None for J2 and C22 of the body's file.
+    """The field that [forces] names, of its degree; None for the terms of the body's file.
 
     Raises DataError for a file that is no whole, normalised field of this body up to the degree.
     """

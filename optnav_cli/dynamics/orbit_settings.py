@@ -67,9 +67,9 @@ class ForcesSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """[forces].
 
     degree       of the gravity field; left out: 50 for the Moon, 2 elsewhere, all of a named field.
-                 2 without `field`: J2 and C22 of the body's file
+                 2 without `field`: the terms of the body's file
     field        a gravity field: SHADR (.tab, .txt, .sha), ICGEM (.gfc) or .cof, beside this file;
-                 left out: GLGM-3 for the Moon, J2 and C22 of the body's file elsewhere
+                 left out: GLGM-3 for the Moon, the terms of the body's file elsewhere
     field_frame  axes that the field is stated in: the body frame, or the Moon's principal axes
     field_error  1 sigma of its coefficients above degree 20, as a share of their size by Kaula's
                  rule, where the field states no errors
