@@ -7,6 +7,7 @@ Between 1960 and 1972, when UTC drifted, SOFA's fractions are used; SPICE rounds
 
 import re
 import warnings
+from typing import NamedTuple
 
 import erfa
 import numpy as np
@@ -20,17 +21,26 @@ DAY_S = 86400.0
 FIRST_YEAR = 1960  # UTC is not defined before
 MAX_AFTER_S = 3e11  # more than from the first year to the last, 9999
 
+# ISO 8601-1:2019: dates of year, month and day or of year and day of year, with separators or
+# without (basic format); a comma may stand for the decimal point.
 _PATTERN = re.compile(
-    r"(\d{4})-(\d{2})-(\d{2})[T ](\d{2}):(\d{2})(?::(\d{2}(?:\.\d*)?))?\s*(.*)", re.IGNORECASE
+    r"(?P<year>[0-9]{4})(?P<dash>-?)"
+    r"(?:(?P<month>[0-9]{2})(?P=dash)(?P<day>[0-9]{2})|(?P<day_of_year>[0-9]{3}))"
+    r"(?:T|[ ]+)"
+    r"(?P<hour>[0-9]{2})(?P<colon>:?)(?P<minute>[0-9]{2})"
+    r"(?:(?P=colon)(?P<second>[0-9]{2}(?:[.,][0-9]*)?))?"
+    r"\s*(?P<zone>.*)",
+    re.IGNORECASE,
 )
-_UTC_WORDS = ("", "z", "utc", "+00:00", "+0000", "+00")
-_EXAMPLE = "a UTC time such as 2023-08-17T05:23:10.250Z"
+_UTC_WORDS = ("", "z", "utc", "+00:00", "+0000", "+00", "-00:00")
+_EXAMPLE = "a UTC time such as 2023-08-17T05:23:10.250Z or, by day of year, 2023-229T05:23:10.250Z"
 
 
 def utc_to_tdb_s(utc: str) -> float:
     """TDB seconds past J2000 of an ISO-8601 UTC time; a leap second is written 23:59:60.
 
-    Raises DataError for what is not a time, not a possible time, or not UTC.
+    The date may be a day of year (2014-217T12:00:00), 24:00:00 is the end of a day, and Z may be
+    left out. Raises DataError for what is not a time, not a possible time, or not UTC.
     """
     return _tdb_s(*_tai(utc))
 
@@ -72,28 +82,80 @@ def _iso(tai1: float, tai2: float, digits: int) -> str:
     )
 
 
+class _Calendar(NamedTuple):
+    """Fields of a written time; `second` is 60 and more in a leap second, `zone` what follows."""
+
+    year: int
+    month: int
+    day: int
+    hour: int
+    minute: int
+    second: float
+    zone: str
+
+    @property
+    def is_end_of_day(self) -> bool:
+        """Whether the time is 24:00:00, the next day's first moment (ISO 8601)."""
+        return self[3:6] == (24, 0, 0.0)
+
+
+def _read_calendar(text: str) -> _Calendar:
+    """Read the fields of an ISO-8601 time. Raises DataError for another form or no such day."""
+    match = _PATTERN.fullmatch(text.strip())
+    if match is None:
+        raise DataError(f"time '{text}' is not understood; wanted {_EXAMPLE}")
+    year, month, day = int(match["year"]), int(match["month"] or 1), int(match["day"] or 1)
+    if match["day_of_year"] is not None:
+        days = int(match["day_of_year"])
+        date = np.datetime64(f"{year:04d}-01-01") + np.timedelta64(days - 1, "D")
+        found_year, month, day = (int(part) for part in str(date).split("-")[-3:])
+        if days < 1 or found_year != year:
+            raise DataError(f"time '{text}': {year} has no day {days}; wanted {_EXAMPLE}")
+    second = float((match["second"] or "0").replace(",", "."))
+    clock = int(match["hour"]), int(match["minute"]), second
+    return _Calendar(year, month, day, *clock, match["zone"])
+
+
+def tdb_iso_to_tdb_s(text: str) -> float:
+    """TDB seconds past J2000 of an ISO-8601 time that counts TDB, as those of orbit messages may.
+
+    Raises DataError for what is not a time or has a zone.
+    """
+    time = _read_calendar(text)
+    if time.zone.lower() not in ("", "z", "tdb"):
+        raise DataError(f"time '{text}' is not TDB (it ends in '{time.zone}'); leave the zone out")
+    try:
+        date = np.datetime64(f"{time.year:04d}-{time.month:02d}-{time.day:02d}")
+    except ValueError:
+        date = np.datetime64("NaT")
+    is_clock = time.hour < 24 and time.minute < 60 and time.second < 60.0
+    if np.isnat(date) or not (is_clock or time.is_end_of_day):
+        raise DataError(f"time '{text}' does not exist; wanted {_EXAMPLE}")
+    days = float((date - np.datetime64("2000-01-01")).astype(int)) - 0.5
+    return days * DAY_S + 3600.0 * time.hour + 60.0 * time.minute + time.second
+
+
 def _tai(utc: str) -> tuple[float, float]:
     """Both parts of the Julian date, TAI, of a UTC time. Raises DataError."""
-    match = _PATTERN.fullmatch(utc.strip())
-    if match is None:
-        raise DataError(f"time '{utc}' is not understood; wanted {_EXAMPLE}")
-    *fields, zone = match.groups()
-    if zone.lower() not in _UTC_WORDS:
-        raise DataError(f"time '{utc}' is not UTC (it ends in '{zone}'); wanted {_EXAMPLE}")
-    year, month, day, hour, minute = (int(text) for text in fields[:5])
-    second = float(fields[5] or 0.0)
-    if year < FIRST_YEAR:
+    time = _read_calendar(utc)
+    if time.zone.lower() not in _UTC_WORDS:
+        raise DataError(f"time '{utc}' is not UTC (it ends in '{time.zone}'); wanted {_EXAMPLE}")
+    if time.year < FIRST_YEAR:
         raise DataError(f"time '{utc}' lies before {FIRST_YEAR}, when UTC begins")
+    after = 1 if time.is_end_of_day else 0  # days
+    clock = (0, 0, 0.0) if after else time[3:6]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            utc1, utc2 = erfa.dtf2d("UTC", year, month, day, hour, minute, second)
-            tai1, tai2 = erfa.utctai(utc1, utc2)
+            utc1, utc2 = erfa.dtf2d("UTC", *time[:3], *clock)
+            tai1, tai2 = erfa.utctai(utc1 + after, utc2)
         except erfa.ErfaError:
             raise DataError(f"time '{utc}' does not exist; wanted {_EXAMPLE}") from None
     # The other warning, of years beyond the leap-second table, needs no action: none are announced.
     if any("end of day" in str(warning.message) for warning in caught):
-        raise DataError(f"time '{utc}': that minute has no second {fields[5]}; wanted {_EXAMPLE}")
+        raise DataError(
+            f"time '{utc}': that minute has no second {time.second:g}; wanted {_EXAMPLE}"
+        )
     return float(tai1), float(tai2)
 
 

@@ -22,6 +22,8 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import ByteArray, FloatArray
 from catalog.bodies.body import Body
+from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
+from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.rotations import ARCSEC, rnb_axes
 from catalog.terrain.relief.relief import GlobalRelief
@@ -298,6 +300,11 @@ def describe(solution: Solution) -> str:
 def nanoseconds(utc: str, otherwise: int = 0) -> int:
     """Nanoseconds since 1970 of an ISO-8601 UTC time; `otherwise` for what is no such time."""
     match = _TIME.match(utc.strip())
+    if match is None:  # a day of year, or no separators
+        try:
+            match = _TIME.match(utc_from_tdb_s(utc_to_tdb_s(utc)))
+        except DataError:
+            match = None
     if match is None:
         return otherwise
     day, hour, minute, second, fraction = match.groups()

@@ -1,11 +1,12 @@
 """UTC and TDB."""
 
 from collections.abc import Callable
+from datetime import date
 from pathlib import Path
 
 import pytest
 
-from catalog.bodies.epochs import tdb_s_after, utc_from_tdb_s, utc_to_tdb_s
+from catalog.bodies.epochs import tdb_iso_to_tdb_s, tdb_s_after, utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError
 
 TIMES = [
@@ -72,6 +73,11 @@ def test_ways_of_writing_utc_mean_the_same() -> None:
         " 2023-08-17T05:23Z ",
         "2023-08-17T05:23:00+00:00",
         "2023-08-17t05:23:00 UTC",
+        "2023-229T05:23:00",
+        "2023-229T05:23:00.00Z",
+        "20230817T052300Z",
+        "2023229T052300",
+        "2023-08-17T05:23:00,0",
     ):
         assert utc_to_tdb_s(text) == expected
 
@@ -83,6 +89,7 @@ def test_ways_of_writing_utc_mean_the_same() -> None:
         "2023-08-17T05:23:00 MSK",
         "2023-08-17T05:23:00 TDB",
         "2023-08-17T05:23:00-00:30",
+        "2023-229T05:23:00-08:00",
     ],
 )
 def test_other_zones_and_scales_are_refused(text: str) -> None:
@@ -100,6 +107,8 @@ def test_other_zones_and_scales_are_refused(text: str) -> None:
         "745521849.18",
         "nan",
         "2023-8-7T05:23:00Z",
+        "23-229T05:23:00",
+        "2023-0817T05:23",
     ],
 )
 def test_what_is_not_a_time_is_refused(text: str) -> None:
@@ -112,7 +121,10 @@ def test_what_is_not_a_time_is_refused(text: str) -> None:
     [
         "2023-13-01T00:00:00Z",
         "2023-02-30T00:00:00Z",
-        "2023-08-17T24:00:00Z",
+        "2023-08-17T24:00:01Z",
+        "2023-08-17T25:00:00Z",
+        "2023-000T05:00:00Z",
+        "2023-366T05:00:00Z",
         "2023-08-17T05:61:00Z",
         "2023-08-17T05:23:60Z",
         "2023-08-17T05:23:99Z",
@@ -122,3 +134,28 @@ def test_what_is_not_a_time_is_refused(text: str) -> None:
 def test_impossible_times_are_refused(text: str) -> None:
     with pytest.raises(DataError, match="time '"):
         utc_to_tdb_s(text)
+
+
+@pytest.mark.parametrize("year", [1999, 2000, 2016, 2100])
+def test_every_day_of_year_is_the_calendars(year: int) -> None:
+    """Leap years have 366 days, centuries that 400 does not divide have 365."""
+    for day in range(1, date(year, 12, 31).timetuple().tm_yday + 1):
+        calendar = date.fromordinal(date(year, 1, 1).toordinal() + day - 1)
+        assert utc_to_tdb_s(f"{year}-{day:03d}T06:00:00") == utc_to_tdb_s(f"{calendar}T06:00:00")
+
+
+def test_the_end_of_a_day_is_the_beginning_of_the_next() -> None:
+    """With a leap second between where the day has one."""
+    assert utc_to_tdb_s("2023-08-17T24:00:00Z") == utc_to_tdb_s("2023-08-18T00:00:00Z")
+    assert utc_to_tdb_s("2016-366T24:00:00Z") == utc_to_tdb_s("2017-01-01T00:00:00Z")
+    assert utc_to_tdb_s("2016-366T23:59:60Z") == utc_to_tdb_s("2017-01-01T00:00:00Z") - 1.0
+
+
+def test_times_that_count_tdb_are_read() -> None:
+    assert tdb_iso_to_tdb_s("2000-01-01T12:00:00") == 0.0
+    assert tdb_iso_to_tdb_s("2000-001T12:00:01.5 TDB") == 1.5
+    assert tdb_iso_to_tdb_s("1999-365T24:00:00") == -43200.0
+    assert tdb_iso_to_tdb_s("2016-12-31T23:59:59Z") == 536500799.0
+    for text in ("2016-12-31T23:59:60", "2016-02-30T00:00:00", "2016-02-01T00:00:00+01:00", "0"):
+        with pytest.raises(DataError, match="time '"):
+            tdb_iso_to_tdb_s(text)
