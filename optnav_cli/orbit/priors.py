@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import ConfigError, DataError
 from optnav_cli.orbit.folder import ROTATION_STEP_S, matrix_of, stated_turn
-from optnav_cli.orbit.oem import read_oem
+from optnav_cli.orbit.oem_reader import read_oem
 from optnav_cli.orbit.problem import OrbitPrior
 from optnav_cli.orbit.settings import OrbitPriorSettings
 
@@ -59,33 +58,27 @@ def _of_state(settings: OrbitPriorSettings, ephemeris: Ephemeris) -> OrbitPrior:
 def _of_oem(
     settings: OrbitPriorSettings, ephemeris: Ephemeris, path: Path, ends: tuple[float, float]
 ) -> OrbitPrior:
-    """Its state at a covariance nearest the middle of the fixes, or with the stated sigmas."""
-    oem = read_oem(path, ephemeris.body.name)
+    """Its state at a covariance nearest the middle of the fixes, or with the stated sigmas.
+
+    With these it is a state of the file itself, which no interpolation can be wrong by.
+    """
+    oem = read_oem(path, ephemeris.body)
     first, last = ends
-    middle = min(max(0.5 * (first + last), float(oem.times[0])), float(oem.times[-1]))
+    middle = 0.5 * (first + last)
     if oem.times[-1] < first or oem.times[0] > last:
         start, end = (utc_from_tdb_s(float(oem.times[k]), 0) for k in (0, -1))
         raise DataError(f"{path}: its states, {start} to {end}, are of another time than the fixes")
     if settings.position_sigma_m is not None and settings.velocity_sigma_m_s is not None:
-        time, covariance = middle, _spread(settings)
-    elif len(oem.covariances):
-        k = int(np.argmin(np.abs(oem.covariance_times - middle)))
-        time, covariance = float(oem.covariance_times[k]), oem.covariances[k]
-    else:
+        k = int(np.argmin(np.abs(oem.times - middle)))
+        return OrbitPrior(float(oem.times[k]), oem.states[k], _spread(settings), str(path))
+    if not len(oem.covariances):
         raise DataError(
             f"{path}: has no covariance; add position_sigma_m and velocity_sigma_m_s to its "
             "[[prior]]"
         )
-    return OrbitPrior(time, _state_at(oem.times, oem.states, time), covariance, str(path))
-
-
-def _state_at(times: FloatArray, states: FloatArray, time: float) -> FloatArray:
-    if len(times) == 1:
-        only: FloatArray = states[0]
-        return only
-    path = CubicHermiteSpline(times, states[:, :3], states[:, 3:])
-    parts = (path(time), path(time, 1))
-    return np.concatenate([np.asarray(part, np.float64) for part in parts])
+    k = int(np.argmin(np.abs(oem.covariance_times - middle)))
+    time = float(oem.covariance_times[k])
+    return OrbitPrior(time, oem.state_at(time), oem.covariances[k], str(path))
 
 
 def _spread(settings: OrbitPriorSettings) -> FloatArray:

@@ -1,5 +1,8 @@
 """Orbits: fits of changed runs, settings and gravity fields; what is made of changed folders."""
 
+import re
+
+from optnav_cli.orbit.oem_reader import KEYWORDS, METHODS, STRUCTURE, TIME_SYSTEMS
 from optnav_cli.orbit.settings import OrbitFitSettings
 from tests.fuzz.cases import DATA, NOTHING, OPEN, USAGE, Case, Place, kind
 from tests.fuzz.damage import damaged
@@ -12,6 +15,10 @@ TIMES = (
 )  # fmt: skip
 STEPS = ("60", "600", "0", "-1", "1e-3", "1e-9", "1e7", "1e300", "nan", "inf", "x", "")
 SETTINGS = ConfigKind(OrbitFitSettings, "orbit.toml", "orbit.toml")
+OEM_VALUES = (
+    "", "X", "7", "1e9", "-1", "MOON", "MOON BARYCENTER", "ITRF", "TOD", "RTN", "TNW", "LVLH", "UT1", "LAGRANGE 9", "PROPAGATE",
+    "2022-067T06:00:00", "2022-03-08T06:00:00.5", "2022-366T00:00:00", "9999-12-31T23:59:59", "\u00e9", *METHODS, *TIME_SYSTEMS,
+)  # fmt: skip
 FIT = ("-q", "orbit", "fit", "flown", "--config", "orbit.toml")
 
 
@@ -67,6 +74,34 @@ def folder(place: Place) -> Case:
     place.take("near", "moon.gpkg")
     args = ("-q", "navigate", "near", "--catalog", "moon.gpkg", "--orbit", "orbit", "-o", "new")
     return Case(args, codes, "new", frozenset({0, NOTHING}), note=note)
+
+
+@kind("orbit-oem", 1.5)
+def oem(place: Place) -> Case:
+    """A fit with a damaged OEM as its prior, or with a keyword of it changed, added or away."""
+    place.take("flown")
+    data = place.material("orbit/orbit.oem")
+    if place.rng.random() < 0.4:
+        data, note = damaged(data, place.rng)
+    else:
+        data, note = _keyword_changed(data, place)
+    place.write("prior.oem", data)
+    sigmas = "position_sigma_m = 1000\nvelocity_sigma_m_s = 1\n" * (place.rng.random() < 0.3)
+    place.write("orbit.toml", f'[forces]\ndegree = 2\n[[prior]]\noem = "prior.oem"\n{sigmas}')
+    return Case((*FIT, "-o", "new"), OPEN, "new", note=note)
+
+
+def _keyword_changed(data: bytes, place: Place) -> tuple[bytes, str]:
+    lines = data.decode("utf-8").splitlines()
+    key = place.rng.choice((*KEYWORDS, *STRUCTURE, "UNHEARD_OF"))
+    line = f"{key} = {place.rng.choice(OEM_VALUES)}" if key not in STRUCTURE else key
+    at = [k for k, old in enumerate(lines) if re.match(rf"{key}\b", old)]
+    if at and place.rng.random() < 0.7:
+        lines[place.rng.choice(at)] = line if place.rng.random() < 0.8 else ""
+    else:
+        heads = [k for k, old in enumerate(lines) if re.match("[A-Z]", old)]
+        lines.insert(place.rng.choice(heads), line)
+    return "\n".join(lines).encode(), line
 
 
 @kind("orbit-predict", 0.7)

@@ -11,7 +11,7 @@ from catalog.progress import SilentProgress
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.main import run as optnav
 from optnav_cli.orbit.folder import read_orbit
-from optnav_cli.orbit.oem import read_oem
+from optnav_cli.orbit.oem_reader import read_oem
 from optnav_cli.orbit.predict import OrbitPath
 from optnav_cli.orbit.settings import OrbitFitSettings, ParameterSettings
 from optnav_cli.orbit.spk import write_spk
