@@ -6,6 +6,7 @@ what the map's own finest octave has there: in the LROC map 3.5 % over most mari
 the highlands.
 """
 
+import logging
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,9 +24,13 @@ from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.rasters import TERRAIN, open_raster, reading_raster
 from catalog.rendering.rays.scene import Reflectivity
-from catalog.terrain.dem.file import path_of, place_of
+from catalog.special_values import ISIS
+from catalog.terrain.dem.file import nodata_range, path_of, place_of
+from catalog.terrain.dem.validity import ISIS_DRIVERS, Validity, unused_bands
 from catalog.terrain.synthetic import fractal
 from optnav_cli.simulation.sections import AlbedoMapSettings, TruthSettings
+
+log = logging.getLogger(__name__)
 
 SHARE = 0.05  # rms an octave, where no map tells
 AROUND_PIXELS = 8.0  # sigma of the ground over which a map's finest octave is taken
@@ -95,6 +100,8 @@ class AlbedoMap:
             else:
                 self._place = _placed(path, body, dataset)
             values = _brightness(dataset, settings.coding)
+            for remark in unused_bands(dataset, _bands(dataset), "brightness"):
+                log.warning("%s: %s", path, remark)
         mean = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
         if not mean > 0.0:
             raise DataError(f"{path}: holds no brightness above 0; name another albedo_map")
@@ -174,12 +181,17 @@ def _extent(path: Path, edges: tuple[float, float, float, float]) -> tuple[float
     return edges
 
 
+def _bands(dataset: Any) -> int:
+    """Bands that hold brightness: three of a colour map, else the first."""
+    return 3 if dataset.count >= 3 else 1
+
+
 def _brightness(dataset: Any, coding: str) -> Float32Array:
-    """Linear brightness (rows, cols), the mean of up to three bands; NaN where there is none.
+    """Read linear brightness (rows, cols), of three bands their mean; NaN where there is none.
 
     sRGB is decoded by IEC 61966-2-1.
     """
-    bands = range(1, min(dataset.count, 3) + 1)
+    bands = range(1, _bands(dataset) + 1)
     total = np.zeros(dataset.shape, np.float32)
     for band in bands:
         raw = dataset.read(band)
@@ -189,8 +201,10 @@ def _brightness(dataset: Any, coding: str) -> Float32Array:
             values = np.clip(values / np.float32(full), 0.0, 1.0)
             curve = ((values + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
             values = np.where(values <= 0.04045, values / np.float32(12.92), curve)
-        if dataset.nodata is not None:
-            values[raw == dataset.nodata] = np.nan
+        low, high = nodata_range(dataset.nodata, str(raw.dtype))
+        special = ISIS.get(str(raw.dtype)) if dataset.driver in ISIS_DRIVERS else None
+        valid = Validity.of(dataset, band, special).valid(dataset, raw, band)
+        values[~valid | ((raw >= low) & (raw <= high))] = np.nan
         total += values / np.float32(len(bands))
     return total
 

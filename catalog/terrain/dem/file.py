@@ -6,6 +6,7 @@ And what makes metres above the reference sphere of its counts.
 import math
 import os
 import re
+from decimal import Decimal
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -173,14 +174,14 @@ def place_of(
 class Conversion(NamedTuple):
     """Raw counts to metres above the reference sphere: count * scale_m + offset_m.
 
-    nodata        the count of pixels without data, NaN for none
-    lowest_valid  counts below it are no data
+    first_nodata, last_nodata  counts from the one to the other are no data (`nodata_range`), NaN
+                               for none
     """
 
     scale_m: float
     offset_m: float
-    nodata: float
-    lowest_valid: float
+    first_nodata: float
+    last_nodata: float
 
     def __call__(self, raw: NDArray[Any]) -> Float32Array:
         """Heights (float32, m) of counts (rows, cols) of any number type; NaN for no data."""
@@ -197,19 +198,36 @@ class Conversion(NamedTuple):
 
 
 # of overviews, which hold heights
-HEIGHTS = Conversion(1.0, 0.0, math.nan, -math.inf)
+HEIGHTS = Conversion(1.0, 0.0, math.nan, math.nan)
+
+
+def nodata_range(nodata: float | None, dtype: str) -> tuple[float, float]:
+    """Lowest and highest count that a no-data value means; NaN twice for none.
+
+    A float file's no-data value may have lost digits on its way through text. One that is no
+    float32 means the nearest of them, and all counts that round to it at the digits that it has:
+    -3.40282e+38 is the lowest float32, -3.40282346...e+38.
+    """
+    if nodata is None or not math.isfinite(nodata):
+        return math.nan, math.nan
+    values = [nodata]
+    if np.dtype(dtype).kind == "f":
+        with np.errstate(over="ignore"):
+            single = float(np.float32(nodata))
+        if single != nodata:
+            step = Decimal(1).scaleb(int(Decimal(repr(nodata)).normalize().as_tuple().exponent))
+            half = float(step) / 2.0
+            values += [nodata - half, nodata + half]
+            values += [single] if math.isfinite(single) else []
+    return min(values), max(values)
 
 
 @kernel
 def is_height(value: float, convert: Conversion) -> bool:
-    """Whether a count is data: finite, not below the lowest and not the no-data value.
-
-    A float file's no-data tag may have lost digits on its way through text: it also counts as the
-    nearest float32.
-    """
-    if not (value >= convert.lowest_valid and abs(value) < np.inf):
+    """Whether a count is data: finite and not a no-data value."""
+    if not abs(value) < np.inf:
         return False
-    return value != convert.nodata and value != np.float64(np.float32(convert.nodata))
+    return not (value >= convert.first_nodata and value <= convert.last_nodata)
 
 
 @kernel

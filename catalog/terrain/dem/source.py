@@ -4,9 +4,10 @@ rasterio neither applies scales and offsets nor distinguishes heights from radii
 decided here, once, and stated. A window comes out as metres above the reference sphere.
 """
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,15 +22,20 @@ from catalog.bodies.body import Body
 from catalog.errors import DataError
 from catalog.geometry.grid import sample_bicubic
 from catalog.rasters import TERRAIN, open_raster, reading_raster, reopen_raster
+from catalog.special_values import ISIS
 from catalog.terrain.dem.file import (
     RADIUS_TOLERANCE,
     Conversion,
     file_units,
     label_of,
+    nodata_range,
     path_of,
     place_of,
 )
 from catalog.terrain.dem.georeference import Georeference, column_spans
+from catalog.terrain.dem.validity import ISIS_DRIVERS, Validity, unused_bands
+
+log = logging.getLogger(__name__)
 
 METRES = {"m": 1.0, "km": 1000.0, "dm": 0.1, "cm": 0.01}
 PROBES = 5  # windows a side that are read to distinguish radii from heights
@@ -40,9 +46,6 @@ SUSPICIOUS_EXTENT_M = 50e3
 SUSPICIOUS_RELIEF_M = 25.0
 MAX_WINDOW = 100_000_000  # heights that are read for places asked at once
 MARGIN = 4  # pixels about those places, for the interpolation
-# ISIS marks saturated and missing pixels with the lowest values of a type, of which GDAL takes
-# one as no data.
-ISIS_LOWEST_VALID = {"int16": -32752.0, "float32": -3.4028226e38, "uint16": 3.0}
 
 
 class DemSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -89,6 +92,7 @@ class DemSource:
     dtype: str
     block_shape: tuple[int, int]
     section: str
+    validity: Validity = field(default_factory=Validity)
     _dataset: Any = None
 
     @classmethod
@@ -145,12 +149,25 @@ class DemSource:
                 f"{section}"
             )
         nodata = settings.nodata if settings.nodata is not None else dataset.nodata
-        lowest = ISIS_LOWEST_VALID.get(dtype, -np.inf) if dataset.driver == "ISIS3" else -np.inf
-        missing = np.nan if nodata is None else float(nodata)
-        convert = Conversion(scale * factor, offset * factor, missing, lowest)
+        convert = Conversion(scale * factor, offset * factor, *nodata_range(nodata, dtype))
+        special = ISIS.get(dtype) if dataset.driver in ISIS_DRIVERS else None
+        validity = Validity.of(dataset, special=special)
+        for remark in unused_bands(dataset, 1, "heights"):
+            log.warning("%s: %s", path, remark)
         block = tuple(dataset.block_shapes[0])
         source = cls(
-            path, settings, body, place, convert, "height", units, dtype, block, section, dataset
+            path,
+            settings,
+            body,
+            place,
+            convert,
+            "height",
+            units,
+            validity.stored_type(dtype),
+            block,
+            section,
+            validity,
+            dataset,
         )
         source._settle_radius(source._probe(), offset_given=offset * factor)
         return source
@@ -275,10 +292,14 @@ class DemSource:
         return found
 
     def read_raw(self, row: int, col: int, height: int, width: int) -> NDArray[Any]:
-        """Counts as they are stored; the window must lie inside. Raises DataError."""
+        """Counts as they are stored; the window must lie inside. Raises DataError.
+
+        Those of a file with a mask, or with special values, are real numbers, NaN where the file
+        has none.
+        """
+        window = Window(col, row, width, height)
         with self._reading(f"rows {row}-{row + height - 1} ") as dataset:
-            raw: NDArray[Any] = dataset.read(1, window=Window(col, row, width, height))
-        return raw
+            return self.validity.marked(dataset, dataset.read(1, window=window), 1, window)
 
     @contextmanager
     def _reading(self, what: str = "") -> Iterator[Any]:

@@ -229,14 +229,6 @@ def test_a_map_with_westward_longitudes_is_read_eastward(tmp_path, dems, moon):
     np.testing.assert_allclose(read, dems.smooth_heights(lat, lon), atol=250.0)
 
 
-def test_isis_saturation_is_no_data(moon):
-    from catalog.terrain.dem.source import ISIS_LOWEST_VALID, Conversion
-
-    convert = Conversion(0.5, 0.0, -32768.0, ISIS_LOWEST_VALID["int16"])
-    raw = np.array([[-32768, -32767, -32764, -32753, -32752, 10]], dtype=np.int16)
-    assert np.isnan(convert(raw)).tolist() == [[True, True, True, True, False, False]]
-
-
 def test_a_name_with_a_nul_is_no_path(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="is no path of a file"):
         path_of("nul\0", tmp_path)
