@@ -204,7 +204,8 @@ def _brightness(dataset: Any, coding: str) -> Float32Array:
         low, high = nodata_range(dataset.nodata, str(raw.dtype))
         special = ISIS.get(str(raw.dtype)) if dataset.driver in ISIS_DRIVERS else None
         valid = Validity.of(dataset, band, special).valid(dataset, raw, band)
-        values[~valid | ((raw >= low) & (raw <= high))] = np.nan
+        stored = raw.astype(np.float64)  # the bounds may lie beyond a float32
+        values[~valid | ((stored >= low) & (stored <= high))] = np.nan
         total += values / np.float32(len(bands))
     return total
 

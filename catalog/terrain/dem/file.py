@@ -29,6 +29,7 @@ MIN_POSTING_M = 1e-3
 # Of a map, rad: two turns of longitude, or a polar map to the other pole, are beyond any model.
 MAX_EXTENT = 4.0 * np.pi
 MAX_CRS = 20_000  # letters
+MIN_ROUNDED = 100.0  # no-data values nearer to 0 mean nothing but themselves, whatever their digits
 _CRS = re.compile(
     r"(EPSG|ESRI|OGC|IAU(_\d{4})?):\w+$|urn:ogc:def:crs:[\w.:-]+$|\+\w|"
     r"(GEOG|GEOD|GEOC|PROJ|COMPD_|BOUND|COMPOUND)(CS|CRS)\s*\[",
@@ -205,20 +206,21 @@ def nodata_range(nodata: float | None, dtype: str) -> tuple[float, float]:
     """Lowest and highest count that a no-data value means; NaN twice for none.
 
     A float file's no-data value may have lost digits on its way through text. One that is no
-    float32 means the nearest of them, and all counts that round to it at the digits that it has:
-    -3.40282e+38 is the lowest float32, -3.40282346...e+38.
+    exact binary number means the nearest float32, and all counts that round to it at the digits
+    that it has: -3.40282e+38 is the lowest float32, -3.40282346...e+38.
     """
     if nodata is None or not math.isfinite(nodata):
         return math.nan, math.nan
     values = [nodata]
     if np.dtype(dtype).kind == "f":
         with np.errstate(over="ignore"):
-            single = float(np.float32(nodata))
-        if single != nodata:
-            step = Decimal(1).scaleb(int(Decimal(repr(nodata)).normalize().as_tuple().exponent))
-            half = float(step) / 2.0
+            single = np.float32(nodata)
+        values += [float(single)] if np.isfinite(single) else []
+        # GDAL gives the nearest float32, whose shortest text has the digits that were written
+        written = Decimal(str(single) if float(single) == nodata else repr(nodata)).normalize()
+        if written != Decimal(nodata) and abs(nodata) >= MIN_ROUNDED:
+            half = 0.5 * 10.0 ** int(written.as_tuple().exponent)
             values += [nodata - half, nodata + half]
-            values += [single] if math.isfinite(single) else []
     return min(values), max(values)
 
 
