@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from catalog.bodies.body import GravityField, load_body
+from catalog.bodies.body import GravityField, SunOrbit, load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
+from catalog.config import resource
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.dynamics.gravity_field import oblate_field
 
 EARTH = load_body("earth")
 NOON = 8.2e8  # TDB s, late in 2025
 DAY_S = 86400.0
+SHIPPED = [path.stem for path in resource("configs/bodies/moon.toml").parent.glob("*.toml")]
+UNMEASURED = {
+    *("67p", "bennu", "itokawa", "ryugu", "didymos", "dimorphos", "ida", "deimos", "hyperion"),
+    *("mimas", "tethys", "iapetus", "miranda", "ariel", "umbriel", "titania", "oberon", "triton"),
+    *("pluto", "charon"),
+}
 
 
 @dataclass
@@ -104,3 +111,43 @@ def test_zonal_terms_leave_the_other_orders_of_their_degree_out():
         body = type(EARTH)(**{**EARTH.__dict__, "gravity": gravity})
         left.append(Forces(Alone(body)).unmodelled(place).sigma_m_s2)
     assert left[1] / left[0] == pytest.approx(np.sqrt(6.0 / 7.0), abs=0.01)
+
+
+@pytest.mark.parametrize("name", sorted(SHIPPED))
+def test_forces_work_about_every_shipped_body(name):
+    """Some radii out the pull is that of the point mass to a share that the shape allows."""
+    body = load_body(name)
+    place = np.array([4.0, 2.0, 3.0]) * max(body.radii_m)
+    year = body.sun.years[0] + 1.0 if isinstance(body.sun, SunOrbit) else 2010.0
+    forces = Forces(Alone(body))
+    found, _ = forces.acceleration((year - 2000.0) * 365.25 * DAY_S, place)
+    point = -body.gm_m3_s2 * place / np.linalg.norm(place) ** 3
+    share = np.linalg.norm(found - point) / np.linalg.norm(point)
+    assert share < 0.02
+    # of a field that no one has measured nothing is stated
+    assert (body.gravity is None) == (name in UNMEASURED)
+    assert forces.unmodelled(place).sigma_m_s2 > 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "j2", "c22"),
+    [  # as the papers have them, unnormalised, for the radius of the file
+        ("io", 1845.9e-6, 553.7e-6), ("europa", 435.5e-6, 131.0e-6),
+        ("titan", 33.089e-6, 10.385e-6), ("dione", 1496e-6, 364.8e-6),
+        ("jupiter", 14696.572e-6, 0.0), ("saturn", 16290.573e-6, 0.0),
+    ],
+)  # fmt: skip
+def test_gravity_is_as_published(name, j2, c22):
+    gravity = load_body(name).gravity
+    assert (gravity.j2, gravity.c22) == pytest.approx((j2, c22), rel=1e-9)
+
+
+def test_a_locked_moon_feels_its_planet():
+    """Over Europa Jupiter's tide, 3 GM r / d^3 along the line, is what moves an orbit most."""
+    europa, jupiter = load_body("europa"), load_body("jupiter")
+    motion = AnalyticEphemeris(europa)
+    line = motion.position_m("jupiter", NOON)
+    place = line / np.linalg.norm(line) * 5.0 * europa.radius_m
+    pull = [Forces(m).acceleration(NOON, place)[0] for m in (motion, Alone(europa))]
+    tide = 2.0 * jupiter.gm_m3_s2 * np.linalg.norm(place) / np.linalg.norm(line) ** 3
+    assert np.linalg.norm(pull[0] - pull[1]) == pytest.approx(tide, rel=0.05)
