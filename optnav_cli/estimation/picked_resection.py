@@ -411,13 +411,6 @@ def _widening(cost: float, freedom: int) -> float:
     return cost / freedom if freedom > 0 and cost > _quantile(0.95, freedom) else 1.0
 
 
-def is_before(pose: Pose, places_m: FloatArray) -> BoolArray:
-    """Which places (n, 3) of the ground face the camera, the body's centre being the origin."""
-    to_camera = pose.position_m - places_m
-    facing: BoolArray = np.einsum("ni,ni->n", to_camera, places_m) > 0.0
-    return facing
-
-
 def _samples(count: int, size: int) -> Iterator[tuple[int, ...]]:
     samples = list(combinations(range(count), size)) if count <= 12 else []
     generator = np.random.default_rng(0)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from catalog.arrays import FloatArray
+from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import normal_at
@@ -28,7 +28,6 @@ from optnav_cli.estimation.picked_constructions import (
 from optnav_cli.estimation.picked_resection import (
     PickedPose,
     PickedResection,
-    is_before,
 )
 from optnav_cli.fix import (
     Evidence,
@@ -43,6 +42,7 @@ from optnav_cli.fix import (
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picked_points import PickedPoint, places_of
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
+from optnav_cli.navigation.picked_horizon import is_hidden
 from optnav_cli.navigation.settings import Construction
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, longer
 
@@ -50,6 +50,8 @@ PRIOR_SIGMAS = 5.0  # within which a prior decides between poses
 MAX_ZENITH_DEG = 70.0  # the formula of refraction is a few per cent off there, and grows
 MIN_EXACT_RAD = 5e-9  # of an attitude that counts as exact: 0.001"
 REFRACTION_ROUNDS = 2
+MIRRORED_READING = "once the longitudes are taken as west (a mirrored picture fits so, too)"
+MAX_HIDDEN = 0.5  # of the points beyond the horizon: more are seen through the ground
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,7 @@ class _FrameOfPoints:
         if self._how.construction != "least_squares":
             place, covariance, turn = self._constructed(found)
         solved = Pose(place, found.pose.camera_from_body if turn is None else turn)
-        if not is_before(solved, self._places[self._in_picture]).any():
+        if self._is_below(solved, self._places[self._in_picture]):
             raise self._mirrored()
         matches = self.rows(found, solved)
         residuals = np.array([m.residual_px for m in matches if m.used])
@@ -212,7 +214,7 @@ class _FrameOfPoints:
     def _of_many(self, problem: PickedResection) -> tuple[PickedPose, Reason]:
         found = problem.solve()
         for _ in range(REFRACTION_ROUNDS if self._body.atmosphere else 0):
-            if not is_before(found.pose, problem.points.places_m).any():
+            if self._is_below(found.pose, problem.points.places_m):
                 raise self._mirrored()
             before = self._low
             self._low = self._zeniths(found.pose) > np.radians(MAX_ZENITH_DEG)
@@ -222,8 +224,7 @@ class _FrameOfPoints:
             found = problem.solve(found if (before == self._low).all() else None)
         if not found.fits:
             raise self._misfit(found)
-        if not is_before(found.pose, problem.points.places_m).all():
-            raise self._mirrored()
+        found, rival = self._seen_from_above(problem, found)
         lens = problem.by_another_lens(found) if self._how.judges_lens else None
         if lens is not None:
             text = (
@@ -232,22 +233,58 @@ class _FrameOfPoints:
                 "the camera or state its focal_length_error"
             )
             raise NoSolutionError(text, ReasonCode.WRONG_LENS)
-        rival = problem.rival_of(found)
-        if rival is not None and is_before(rival.pose, problem.points.places_m).all():
+        if rival is not None:
             chosen = problem.with_all_leans(self._decided([found, rival]))
             return chosen, Reason(ReasonCode.DEGENERATE, "the prior decides between two places")
         found = problem.with_all_leans(found)
+        hidden = int(self._hidden(found.pose, problem.points.places_m[found.used]).sum())
         if found.freedom <= 2 and problem.attitude is None:
             text = "4 points leave little to check: a blunder moves the position unseen"
             return found, Reason(ReasonCode.FEW_POINTS, text)
+        if hidden:
+            if self._mirror_hides_fewer(hidden):
+                raise self._mirrored()
+            text = f"{hidden} of {found.used.sum()} points lie beyond the horizon of the ellipsoid"
+            return found, Reason(ReasonCode.POINTS_HIDDEN, text)
         return found, NO_REASON
 
+    def _seen_from_above(
+        self, problem: PickedResection, found: PickedPose
+    ) -> tuple[PickedPose, PickedPose | None]:
+        """The pose that sees the ground from above, and its rival if that does no worse.
+
+        Raises NoSolutionError where both see it from below.
+        """
+        rival = problem.rival_of(found)
+        places = problem.points.places_m[found.used]
+        if self._is_below(found.pose, places):
+            if rival is None or self._is_below(rival.pose, places):
+                raise self._mirrored()
+            return rival, None
+        hidden = self._hidden(found.pose, places).sum()
+        if rival is not None and self._hidden(rival.pose, places).sum() > hidden:
+            rival = None
+        return found, rival
+
+    def _mirror_hides_fewer(self, hidden: int) -> bool:
+        """Whether the mirrored ground fits, too, with fewer points beyond the horizon than that."""
+        west = self._latlon * (1.0, -1.0)
+        problem = self._problem(self._placed(west, self._heights, self._how.settings))
+        other = _solved(problem)
+        if other is None or not other.fits:
+            return False
+        return bool(self._hidden(other.pose, problem.points.places_m[other.used]).sum() < hidden)
+
+    def _hidden(self, pose: Pose, places_m: FloatArray) -> BoolArray:
+        return is_hidden(pose.position_m, places_m, self._body.radii_m)
+
+    def _is_below(self, pose: Pose, places_m: FloatArray) -> bool:
+        """Whether a camera would see most places (n, 3) through the ground."""
+        return bool(self._hidden(pose, places_m).mean() > MAX_HIDDEN)
+
     def _of_three(self, problem: PickedResection) -> PickedPose:
-        found = [
-            pose
-            for pose in problem.of_three()
-            if is_before(pose.pose, problem.points.places_m).all()
-        ]
+        places = problem.points.places_m
+        found = [pose for pose in problem.of_three() if not self._is_below(pose.pose, places)]
         if not found:
             raise self._mirrored()
         return self._decided(found)
@@ -334,7 +371,7 @@ class _FrameOfPoints:
         return refracted
 
     def _mirrored(self) -> NoSolutionError:
-        text = "the points are seen so from below the ground only: a mirrored picture"
+        text = "the points are seen so through the ground only: a mirrored picture"
         others = self._readings()
         if others:
             text += f"; they fit {others}"
@@ -356,7 +393,9 @@ class _FrameOfPoints:
         )
         others = self._readings()
         if others:
-            return NoSolutionError(f"{text}; they fit {others}", ReasonCode.POINTS_DISAGREE)
+            mirrored = others == MIRRORED_READING
+            code = ReasonCode.MIRRORED if mirrored else ReasonCode.POINTS_DISAGREE
+            return NoSolutionError(f"{text}; they fit {others}", code)
         return NoSolutionError(
             f"{text}; check the coordinates, their sigmas and the lens", ReasonCode.POINTS_DISAGREE
         )
@@ -372,10 +411,10 @@ class _FrameOfPoints:
         if np.abs(swapped[:, 0]).max() <= 90.0:
             words = "once lat_deg and lon_deg are exchanged"
             tries.append((words, swapped, self._heights, settings))
-        words = "once the longitudes are taken as west (a mirrored picture fits so, too)"
-        tries.append((words, west, self._heights, settings))
+        tries.append((MIRRORED_READING, west, self._heights, settings))
         words = f'with latitude = "{other.latitude}" in [points] of run.toml'
-        if len(set(self._body.radii_m)) > 1:
+        a, b, c = self._body.radii_m
+        if a == b != c:
             tries.append((words, self._latlon, self._heights, other))
         low, high = self._body.plausible_heights_m
         if low <= 1e3 * self._heights.min() and 1e3 * self._heights.max() <= high:
@@ -386,7 +425,7 @@ class _FrameOfPoints:
         found = []
         for text, latlon, heights, how in tries:
             problem = self._problem(self._placed(latlon, heights, how))
-            if _fits(problem):
+            if self._fits(problem):
                 found.append(text)
         problem = self._problem(self._places).any_lens
         if not found and len(problem.points) > 4:
@@ -395,16 +434,15 @@ class _FrameOfPoints:
                 found.append(f"with a focal length {longer(lens.focal)}")
         return ", or ".join(found)
 
+    def _fits(self, problem: PickedResection) -> bool:
+        found = _solved(problem)
+        if found is None or not found.fits:
+            return False
+        return not self._is_below(found.pose, problem.points.places_m[found.used])
+
 
 def _solved(problem: PickedResection) -> PickedPose | None:
     try:
         return problem.solve()
     except NoSolutionError:
         return None
-
-
-def _fits(problem: PickedResection) -> bool:
-    found = _solved(problem)
-    if found is None or not found.fits:
-        return False
-    return bool(is_before(found.pose, problem.points.places_m).all())
