@@ -13,7 +13,10 @@ from catalog.errors import DataError
 from catalog.keywords import Keyword, Keywords, check_keywords
 
 # Modules with a table KEYWORDS. A test of each reader feeds it a file with every refused keyword.
-READERS: tuple[str, ...] = ("optnav_cli.orbit.oem_reader",)
+READERS: tuple[str, ...] = (
+    "catalog.bodies.daf",
+    "optnav_cli.orbit.oem_reader",
+)
 
 
 def tables() -> dict[str, Keywords]:

@@ -26,8 +26,9 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, LockedOrbit, SunOrbit, SunTheory, load_body
+from catalog.bodies.coverage import common_span
 from catalog.bodies.epochs import DAY_S, J2000_JD, utc_from_tdb_s
-from catalog.bodies.kernels import KernelSet, common_span
+from catalog.bodies.kernels import KernelSet
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import DataError
 from catalog.geometry.vectors import unit
@@ -251,7 +252,8 @@ class SpiceEphemeris(Ephemeris):
         self._analytic = AnalyticEphemeris(body)
         self._kernels = KernelSet(kernels)
         self._orbits = bool(self._kernels.orbits)
-        rest = "" if self._orbits else "; the Sun by analytic theory (SOFA)"
+        self._has_sun = any(map(self._kernels.has_orbit, SUN_NAIF))
+        rest = "" if self._has_sun else "; the Sun by analytic theory (SOFA)"
         self.name = f"SPICE kernels ({self._kernels.names}){rest}"
         if body.spice is None:
             raise DataError(
@@ -271,7 +273,7 @@ class SpiceEphemeris(Ephemeris):
 
     def sun_inertial(self, tdb_s: float) -> FloatArray:
         """Raises DataError, with the span the kernels cover, for a time outside it."""
-        if not self._orbits:
+        if not self._has_sun:  # none, or those of a craft alone
             return self._analytic.sun_inertial(tdb_s)
         of, centre = self._sun_and_viewer()
         return unit(self._kernels.position_m(of, centre, tdb_s, apparent=True))
@@ -309,7 +311,7 @@ class SpiceEphemeris(Ephemeris):
                 "such as moon_080317.tf, and the orientation kernel (.bpc) that goes with it"
             )
         middle = 0.0  # J2000, for constants that hold at all times
-        if self._orbits:
+        if self._has_sun:
             sun, centre = self._sun_and_viewer()
             middle = _middle(self._kernels.orbit_span((sun, centre)), middle)
             orbit = self.body.sun

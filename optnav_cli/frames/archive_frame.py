@@ -9,7 +9,7 @@ deg of it in the body's axes), on Apollo 15 frame 0297 by 0.33 deg and 1.3 km. S
 are those of what a label of its kind is off by, and where it states none, the defaults below.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -33,6 +33,10 @@ POSITION_SIGMA_M = 1000.0  # a component
 # The Sun and the rotation by a label and by the body file: further apart, one of both is of another
 # body, time or frame. Poles of one asteroid by two reports differ by 0.8 deg.
 MAX_APART_DEG = 2.0
+NO_LIGHT_TIME = (
+    "light time and aberration: no kernel joins the body to the solar system's barycentre; "
+    "positions are off by speed times light time (add a planetary .bsp, such as de440s.bsp)"
+)
 Degrees = Annotated[float, msgspec.Meta(gt=0.0, le=180.0)]
 Sigma = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
 Scale = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
@@ -79,10 +83,15 @@ class AttitudeKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SpiceKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How SPICE kernels name the craft (a NAIF number) and the frame of its camera."""
+    """How SPICE kernels name the craft (a NAIF number) and the frame of its camera.
+
+    correction  of the body's place and rotation as the craft sees them: light time and stellar
+                aberration ("LT+S"), light time alone ("LT"), neither ("NONE")
+    """
 
     craft: int
     frame: str
+    correction: Literal["LT+S", "LT", "NONE"] = "LT+S"
 
 
 class ImportTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -162,6 +171,7 @@ class FrameMaker:
     camera: str
     motion: Ephemeris
     kernels: KernelSet | None = None
+    notes: dict[str, None] = field(default_factory=dict)  # what people must know, each once
 
     def of_label(self, label: ArchiveLabel, file: str) -> Frame:
         """The frame that a label describes. Raises DataError for what it does not state."""
@@ -203,13 +213,19 @@ class FrameMaker:
                 "a body whose file has [spice]"
             )
         tdb_s = utc_to_tdb_s(utc)
-        seen_from = next(filter(kernels.has_orbit, body.spice.naif), body.spice.naif[0])
-        craft = kernels.position_m(spice.craft, seen_from, tdb_s, apparent=False)
+        number = next(filter(kernels.has_orbit, body.spice.naif), body.spice.naif[0])
+        correction = spice.correction
+        if correction != "NONE" and not kernels.joins_barycentre(number, tdb_s):
+            correction = "NONE"
+            self.notes[NO_LIGHT_TIME] = None
+        seen_m, light_s = kernels.apparent_m(number, spice.craft, tdb_s, correction)
         attitude = Rotation.from_matrix(kernels.rotation(spice.frame, tdb_s))
-        body_from_inertial = Rotation.from_matrix(self.motion.body_from_inertial(tdb_s))
-        position = body_from_inertial.apply(craft)
+        # the picture shows the body as it stood when the light left it
+        body_from_inertial = Rotation.from_matrix(self.motion.body_from_inertial(tdb_s - light_s))
+        position = body_from_inertial.apply(-seen_m)
         attitude = self.table.rotation * attitude * body_from_inertial.inv()
-        return self._frame(path, file, (utc, tdb_s), attitude, position, None)
+        sun = self.motion.sun_body(tdb_s - light_s)
+        return self._frame(path, file, (utc, tdb_s), attitude, position, sun)
 
     def _frame(
         self,

@@ -182,6 +182,7 @@ class _Importer:
         self._cameras[camera.name] = camera
         self._frames[file] = frame
         self._note(table, frame, camera)
+        self._notes |= maker.notes
         if without:
             self._notes[f"{file}: {without} pixels have no value and are 0"] = None
 
