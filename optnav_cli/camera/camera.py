@@ -41,6 +41,9 @@ class Camera:
                             attitudes of all its frames have in common
     focal_length_error      how far the focal length may be off, 1 sigma, relative
     principal_point_error_px  the same of the principal point, a coordinate
+    saturation_counts       counts of its pictures from which on a pixel is full; None: not stated
+    valid_area_px           left, top, right, bottom pixel that belong to the picture; those beyond
+                            have no value; None for all
     """
 
     name: str
@@ -60,6 +63,8 @@ class Camera:
     boresight_arcsec: tuple[float, float, float] | None = None
     focal_length_error: float = 0.0
     principal_point_error_px: float = 0.0
+    saturation_counts: float | None = None
+    valid_area_px: tuple[int, int, int, int] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -20,6 +20,7 @@ Length = Annotated[float, msgspec.Meta(ge=1e-3, le=1e9)]
 Arcsec = Annotated[float, msgspec.Meta(ge=0.0, le=180.0 * 3600.0)]
 Turned = Annotated[float, msgspec.Meta(ge=-36_000.0, le=36_000.0)]  # arcsec: 10 deg
 Pixels = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
+Edge = Annotated[int, msgspec.Meta(ge=0, le=100_000)]
 _OPENCV = "k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4[, tau_x, tau_y]]]]"
 # how many coefficients there may be, by what uses them, and their names
 _TERMS = {
@@ -53,6 +54,8 @@ class CameraFileSettings(msgspec.Struct, forbid_unknown_fields=True, omit_defaul
     boresight_arcsec: tuple[Turned, Turned, Turned] | None = None
     focal_length_error: Annotated[float, msgspec.Meta(ge=0.0, le=0.5)] = 0.0
     principal_point_error_px: Annotated[float, msgspec.Meta(ge=0.0, le=1e5)] = 0.0
+    saturation_counts: Annotated[float, msgspec.Meta(gt=0.0, le=1e30)] | None = None
+    valid_area_px: tuple[Edge, Edge, Edge, Edge] | None = None
 
 
 def load_camera(path: str | Path) -> Camera:
@@ -119,6 +122,10 @@ def camera_toml(camera: Camera) -> str:
     if camera.boresight_arcsec is not None:
         turns = ", ".join(repr(float(angle)) for angle in camera.boresight_arcsec)
         lines.append(f"boresight_arcsec = [{turns}]")
+    if camera.saturation_counts is not None:
+        lines.append(f"saturation_counts = {float(camera.saturation_counts)!r}")
+    if camera.valid_area_px is not None:
+        lines.append(f"valid_area_px = {list(camera.valid_area_px)}")
     return "\n".join(lines) + "\n"
 
 
@@ -130,6 +137,13 @@ def _check_picture(settings: CameraFileSettings, where: str) -> None:
         )
     if not is_plain_name(settings.name):
         raise ConfigError(f"{where}: name is '{settings.name}'; wanted a plain word")
+    if settings.valid_area_px is not None:
+        left, top, right, bottom = settings.valid_area_px
+        if not (left < right < settings.width_px and top < bottom < settings.height_px):
+            raise ConfigError(
+                f"{where}: valid_area_px is {list(settings.valid_area_px)}; wanted [left, top, "
+                f"right, bottom] in a picture of {settings.width_px} x {settings.height_px}"
+            )
 
 
 def _check_lens(settings: CameraFileSettings, where: str) -> None:

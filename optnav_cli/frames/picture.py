@@ -10,28 +10,45 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.enums import ColorInterp
+from rasterio.enums import ColorInterp, MaskFlags
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import DataError
 from catalog.inputs import check_input
 from catalog.rasters import PICTURES, open_raster, reading_raster
+from catalog.special_values import ISIS, SpecialValues
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import MAX_PIXELS
 from optnav_cli.frames.frames import picture_path
+from optnav_cli.frames.full_scale import find_full_scale
 
-# the highest value of the integer types pictures are taken with
+# the highest value of the integer types pictures are stored in
 _SATURATION = {"uint8": 255.0, "uint16": 65535.0}
 # No camera's counts end so low, and no surface but a specular one is as bright as I/F.
 HIGHEST_FRACTION = 16.0
 MAX_VALUE = 1e30  # beyond it squares of single precision overflow in places
 PIECE = 1 << 20  # bytes that are read at once
+ISIS_DRIVERS = ("ISIS3", "ISIS2")
 _RGBA = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
 _PNG = b"\x89PNG\r\n\x1a\n"
+
+
+class _Pixels(NamedTuple):
+    """Pixels of a file.
+
+    values   (h, w) as stored;  kind  name of the stored type
+    missing  (h, w) marks those without a value; None for none
+    full     full scale as the file states it; None where it does not
+    """
+
+    values: NDArray[np.generic]
+    kind: str
+    missing: BoolArray | None
+    full: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +56,16 @@ class Picture:
     """A picture's values and where they saturate.
 
     values      (height, width) float32, in the units of the file, or counts of 16 bits where those
-                are fractions
-    saturation  the highest value the file can hold; None where its type has no such limit
+                are fractions; NaN where a pixel has no value
+    saturation  full scale, from which on a pixel is full: as stated, else as clipped pixels show
+                it, else the highest value of the file's type; None where that has no such limit
+    valid       (height, width) False where a pixel has no value: it is neither sky nor ground;
+                None where all have one
     """
 
     values: Float32Array
     saturation: float | None
+    valid: BoolArray | None = None
 
     def loaded(self) -> "Picture":
         """The picture itself, read by now."""
@@ -69,17 +90,23 @@ def load_picture(path: str | Path, camera: Camera | None) -> Picture:
     """Read a picture of a camera; of any size where there is none yet.
 
     Raises DataError, with the reason, for a file that is missing, broken, of another size than the
-    camera's pictures, in colours other than gray, transparent, or without content: all black, all
-    white, all of one value.
+    camera's pictures, in colours other than gray, or without content: all black, all white, all of
+    one value, without a pixel that has a value.
     """
     path = Path(path)
     if check_input(path, "picture", "add it to the folder") == 0:
         raise DataError(f"{path}: the picture is an empty file")
     _check_png(path)
-    values, kind = _read(path, camera)
-    saturation = _SATURATION.get(kind)
-    _check_content(path, values, saturation)
-    return Picture(_counts(values).astype(np.float32), saturation)
+    pixels = _read(path, camera)
+    missing = _missing(pixels, camera)
+    saturation = _saturation(path, pixels, missing, camera)
+    values, factor = _counts(pixels.values, missing)
+    counts = values.astype(np.float32)
+    saturation = None if saturation is None else saturation * factor
+    if missing is None:
+        return Picture(counts, saturation)
+    counts[missing] = np.nan
+    return Picture(counts, saturation, ~missing)
 
 
 def frame_picture(folder: Path, file: str, camera: Camera) -> Picture:
@@ -95,18 +122,59 @@ def frame_picture(folder: Path, file: str, camera: Camera) -> Picture:
         raise DataError(str(error).replace(str(path), file)) from None
 
 
-def _counts(values: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Values as they are, or brightness as I/F brought to counts, by a power of two.
+def _missing(pixels: _Pixels, camera: Camera | None) -> BoolArray | None:
+    """Mark the pixels (h, w) that have no value, by the file or outside the usable area."""
+    missing = pixels.missing
+    if camera is not None and camera.valid_area_px is not None:
+        left, top, right, bottom = camera.valid_area_px
+        outside = np.ones(pixels.values.shape, np.bool_)
+        outside[top : bottom + 1, left : right + 1] = False
+        missing = outside if missing is None else missing | outside
+    return missing if missing is not None and missing.any() else None
+
+
+def _saturation(
+    path: Path, pixels: _Pixels, missing: BoolArray | None, camera: Camera | None
+) -> float | None:
+    """Full scale of a picture: stated, else as clipped pixels show it, else of the file's type.
+
+    Raises DataError for a picture without content.
+    """
+    valid = pixels.values if missing is None else pixels.values[~missing]
+    if valid.size == 0:
+        raise DataError(
+            f"{path}: no pixel of the picture has a value: all are masked, transparent, no-data "
+            "or outside the camera's valid_area_px"
+        )
+    largest = _SATURATION.get(pixels.kind)
+    _check_content(path, valid, largest)
+    if camera is not None and camera.saturation_counts is not None:
+        return camera.saturation_counts
+    if pixels.full is not None:
+        return pixels.full
+    clipped = find_full_scale(valid)
+    return largest if clipped is None else clipped
+
+
+def _counts(
+    values: NDArray[np.generic], missing: BoolArray | None
+) -> tuple[NDArray[np.generic], float]:
+    """Values as they are, or brightness as I/F brought to counts; and the factor, a power of two.
 
     What is lit is told from the sky's noise, which is taken for a rounding to whole counts at
     least.
     """
+    if values.dtype.kind != "f":
+        return values, 1.0
+    if missing is not None:
+        values = np.where(missing, values.dtype.type(0), values)
     highest = float(values.max())
-    fractions = values.dtype.kind == "f" and bool((values != np.rint(values)).any())
+    fractions = bool((values != np.rint(values)).any())
     if not fractions or not 0.0 < highest < HIGHEST_FRACTION:
-        return values
-    scaled: FloatArray = np.ldexp(values.astype(np.float64), 16 - math.frexp(highest)[1])
-    return scaled
+        return values, 1.0
+    exponent = 16 - math.frexp(highest)[1]
+    scaled: FloatArray = np.ldexp(values.astype(np.float64), exponent)
+    return scaled, math.ldexp(1.0, exponent)
 
 
 def _check_png(path: Path) -> None:
@@ -136,8 +204,8 @@ def _check_chunks(path: Path, file: BinaryIO) -> None:
             raise DataError(f"{path}: the picture is broken: wrong checksum at byte {place}")
 
 
-def _read(path: Path, camera: Camera | None) -> tuple[NDArray[np.generic], str]:
-    """The values, all bands being the same, and the name of their type."""
+def _read(path: Path, camera: Camera | None) -> _Pixels:
+    """The pixels, all bands being the same."""
     with open_raster(path, PICTURES) as dataset, reading_raster(path, siblings=False):
         # before its pixels are decoded: a small file can hold a huge picture
         if camera is None:
@@ -147,7 +215,44 @@ def _read(path: Path, camera: Camera | None) -> tuple[NDArray[np.generic], str]:
                 f"{path}: the picture is {dataset.width} x {dataset.height}; camera "
                 f"'{camera.name}' takes {camera.width_px} x {camera.height_px}"
             )
-        return _gray(path, dataset), dataset.dtypes[0]
+        values, missing = _gray(path, dataset), _masked(dataset)
+        kind, full = dataset.dtypes[0], None
+        scale, offset = dataset.scales[0], dataset.offsets[0]
+        if dataset.driver in ISIS_DRIVERS and kind in ISIS:
+            values, missing, full = _without_special(values, missing, ISIS[kind])
+        if values.dtype.kind == "f":
+            missing = missing | np.isnan(values)
+        if (scale, offset) != (1.0, 0.0):
+            values = (values.astype(np.float64) * scale + offset).astype(np.float32)
+            full = None if full is None else full * scale + offset
+        return _Pixels(values, kind, missing if missing.any() else None, full)
+
+
+def _without_special(
+    stored: NDArray[np.generic], missing: BoolArray, special: SpecialValues
+) -> tuple[NDArray[np.generic], BoolArray, float | None]:
+    """Values with the highest valid one where they are saturated, what is missing, full scale."""
+    missing = missing | special.is_missing(stored)
+    full = special.is_saturated(stored)
+    valid = stored[~(missing | full)]
+    if not full.any() or not valid.size:
+        return stored, missing | full, None
+    highest = valid.max()
+    return np.where(full, highest, stored), missing, float(highest)
+
+
+def _masked(dataset: Any) -> BoolArray:
+    """Mark the pixels (h, w) that GDAL's mask leaves out: alpha, mask band, no-data value."""
+    plain = dataset.colorinterp[0] != ColorInterp.palette
+    if plain and dataset.mask_flag_enums[0] == [MaskFlags.all_valid]:
+        return np.zeros((1, 1), np.bool_)
+    masked: BoolArray = dataset.read_masks(1) != 255
+    if dataset.colorinterp[0] == ColorInterp.palette:
+        opaque = np.ones(256, np.bool_)
+        for index, colour in dataset.colormap(1).items():
+            opaque[index] = colour[3] == 255
+        masked = masked | ~opaque[dataset.read(1)]
+    return masked
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
@@ -159,7 +264,7 @@ def _check_size(path: Path, width: int, height: int) -> None:
 
 
 def _gray(path: Path, dataset: Any) -> NDArray[np.generic]:
-    """The values (h, w) of a picture whose bands are all the same, and whose pixels are opaque."""
+    """The values (h, w) of a picture whose bands are all the same."""
     values: NDArray[np.generic] = dataset.read(1)
     if dataset.colorinterp[0] == ColorInterp.palette:
         colours = np.zeros((256, 4), np.uint8)
@@ -171,10 +276,7 @@ def _gray(path: Path, dataset: Any) -> NDArray[np.generic]:
         numbered = zip(dataset.indexes[1:], dataset.colorinterp[1:], strict=True)
         bands = [(dataset.read(number), kind) for number, kind in numbered]
     for band, kind in bands:
-        if kind == ColorInterp.alpha:
-            if (band != np.iinfo(band.dtype).max).any():
-                raise DataError(f"{path}: the picture has transparent pixels; wanted a full one")
-        elif not np.array_equal(band, values):
+        if kind != ColorInterp.alpha and not np.array_equal(band, values):
             row, column = (int(places[0]) for places in np.nonzero(band != values))
             raise DataError(
                 f"{path}: the picture is in colour: at pixel ({column}, {row}) one band is "

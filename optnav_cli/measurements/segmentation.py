@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from catalog.arrays import Float32Array, Int32Array, IntArray
+from catalog.arrays import BoolArray, Float32Array, Int32Array, IntArray
 from catalog.cache import Cache
 from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
@@ -59,25 +59,32 @@ class Blobs:
     label   (k,)   label of each blob
     area    (k,)   pixels
     box     (k, 4) left, top, width, height
+    cut     (k,)   whether pixels without a value lie beside it; None where all have one
     """
 
     labels: Int32Array
     label: IntArray
     area: IntArray
     box: IntArray
+    cut: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.area)
 
     def reaches_border(self, number: int) -> bool:
-        """Whether an area reaches the picture's edge."""
+        """Whether an area reaches the picture's edge, or pixels without a value."""
+        if self.cut is not None and self.cut[number]:
+            return True
         left, top, width, height = (int(value) for value in self.box[number])
         rows, cols = self.labels.shape
         return bool(left == 0 or top == 0 or left + width == cols or top + height == rows)
 
 
 class Segmented:
-    """A picture (h, w) whose levels and lit areas are made once, for all who ask for them."""
+    """A picture (h, w) whose levels and lit areas are made once, for all who ask for them.
+
+    NaN stands for pixels without a value, which are neither lit nor sky.
+    """
 
     def __init__(self, picture: Float32Array) -> None:
         self.picture = np.ascontiguousarray(picture, dtype=np.float32)
@@ -96,13 +103,11 @@ class Segmented:
 
 
 def measure_levels(picture: Float32Array) -> Levels:
-    """Levels of a picture (h, w).
+    """Levels of a picture (h, w), NaN where a pixel has no value.
 
     Raises NoSolutionError for a picture in which nothing stands out of the noise.
     """
-    height, width = picture.shape
-    rows, cols = max(height // BLOCK_PX, 1), max(width // BLOCK_PX, 1)
-    mean = cv2.resize(picture, (cols, rows), interpolation=cv2.INTER_AREA)
+    mean = _block_means(picture)
     sky_mean = float(np.quantile(mean, SKY_QUANTILE))
     sky, variance = _sky(picture, sky_mean)
     noise = float(np.sqrt(max(variance, ROUNDING_VARIANCE)))
@@ -126,6 +131,19 @@ def measure_levels(picture: Float32Array) -> Levels:
     bright = float(np.median(rough[:: 1 + rough.size // 10_000])) if rough.size else peak
     rise = max(THRESHOLD_SIGMAS * noise, THRESHOLD_SHARE * (bright - sky))
     return Levels(sky, noise, bright, peak, sky + rise)
+
+
+def _block_means(picture: Float32Array) -> Float32Array:
+    """Means of blocks; of those without gaps (k,) where the picture has pixels without a value."""
+    height, width = picture.shape
+    rows, cols = max(height // BLOCK_PX, 1), max(width // BLOCK_PX, 1)
+    mean = np.asarray(cv2.resize(picture, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
+    known = np.isfinite(mean)
+    if known.all():
+        return mean
+    # gaps in every block: single pixels stand for them
+    sample = picture[::STEP, ::STEP]
+    return mean[known] if known.any() else sample[np.isfinite(sample)]
 
 
 @kernel
@@ -173,8 +191,11 @@ def _peak(picture: Float32Array) -> float:
             mean = line[c - 1] + line[c] + line[c + 1]
             highest[c] = mean if mean > highest[c] else highest[c]
         first, last = min(1, cols - 1), max(cols - 2, 0)
-        highest[0] = max(highest[0], line[0] + 2.0 * line[first])
-        highest[cols - 1] = max(highest[cols - 1], line[cols - 1] + 2.0 * line[last])
+        # no max(): pixels without a value are NaN
+        mean = line[0] + 2.0 * line[first]
+        highest[0] = mean if mean > highest[0] else highest[0]
+        mean = line[cols - 1] + 2.0 * line[last]
+        highest[cols - 1] = mean if mean > highest[cols - 1] else highest[cols - 1]
     return float(np.float32(highest.max() / 9.0))
 
 
@@ -186,7 +207,14 @@ def lit_blobs(picture: Float32Array, threshold: float) -> Blobs:
     labels = np.asarray(found, np.int32)
     area, box = _sizes(labels, count)
     order = np.argsort(-area, kind="stable")
-    return Blobs(labels, order + 1, area[order], box[order])
+    gaps = np.isnan(picture)
+    cut = None
+    if gaps.any():
+        beside = cv2.dilate(gaps.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        touched = np.zeros(count, np.bool_)
+        touched[labels[beside]] = True
+        cut = touched[order + 1]
+    return Blobs(labels, order + 1, area[order], box[order], cut)
 
 
 @kernel
@@ -224,13 +252,14 @@ def without_smear(picture: Float32Array, levels: Levels) -> Float32Array | None:
             continue
         if np.corrcoef(ends)[0, 1] < MIN_ALIKE_STRIPES:
             continue
-        darkest = np.quantile(values[:, lit], 0.02, axis=0) - levels.sky
+        darkest = np.nanquantile(values[:, lit], 0.02, axis=0) - levels.sky
         if np.median(darkest) < 0.5 * np.median(weaker[lit]):
             continue  # two edges cut lit ground, with sky between
         strength = cv2.GaussianBlur(ends.max(axis=0)[None], (0, 0), 1.0)
         # stripes shift by a pixel where the body's edge leans
         strength = cv2.dilate(strength.astype(np.float32), np.ones((1, 5), np.uint8))
-        left = np.maximum(values - np.maximum(strength, 0.0), min(levels.sky, float(values.min())))
+        darkest_sky = min(levels.sky, float(np.nanmin(values)))
+        left = np.maximum(values - np.maximum(strength, 0.0), darkest_sky)
         return np.ascontiguousarray(left if values is picture else left.T, dtype=np.float32)
     return None
 

@@ -114,8 +114,10 @@ def navigate(
     clean = without_smear(lit.picture, lit.levels)
     if clean is not None:
         lit = Segmented(clean)
-    mesh, levels, values = _mesh(relief), lit.levels, lit.picture
+    mesh, levels = _mesh(relief), lit.levels
     mask = _lit_mask(lit)
+    # the lit shape is whole: pixels without a value lie beside it
+    values = np.nan_to_num(lit.picture, nan=levels.sky)
     position = _by_moments(mask, mesh, view)
     turn = view.camera_from_body
     smooth = np.asarray(cv2.GaussianBlur(values, (0, 0), 0.7), dtype=np.float32)
@@ -154,8 +156,8 @@ def _lit_mask(lit: Segmented) -> BoolArray:
         text = f"the lit shape is {np.sqrt(mask.sum()):.0f} px across; a silhouette wants more"
         raise NoSolutionError(text, ReasonCode.SMALL_DISC)
     inner = mask[CUT_PX:-CUT_PX, CUT_PX:-CUT_PX]
-    if inner.sum() < mask.sum():
-        text = "the frame cuts the lit shape: its silhouette is not whole"
+    if inner.sum() < mask.sum() or (lit.blobs.cut is not None and lit.blobs.cut[0]):
+        text = "the frame, or pixels without a value, cut the lit shape: it is not whole"
         raise NoSolutionError(text, ReasonCode.CUT_DISC)
     return mask
 

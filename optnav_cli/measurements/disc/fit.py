@@ -196,7 +196,7 @@ def fit_disc(
     part = picture[corner[1] : corner[1] + size[1], corner[0] : corner[0] + size[0]]
     values = part.astype(np.float64)
     levels = measure_levels(picture)
-    use = np.ones(values.shape, bool) if saturation is None else values < saturation
+    use = np.isfinite(values) if saturation is None else values < saturation
     model = DiscModel(camera, sun_camera, per_px, corner, values - levels.sky, use, levels.noise)
     blur, blur_sigma = blur_prior(camera.known_blur_px)
     expected = np.array([blur, 0.0, 0.0])

@@ -132,6 +132,11 @@ def measure_disc(areas: Segmented, saturation: float | None) -> DiscMoments:
     y, x = np.mgrid[part]
     own = (labels == 0) | (labels == blobs.label[chosen])
     use = own & (np.hypot(x - cx, y - cy) <= reach)
+    if not np.isfinite(window[use]).all():
+        raise NoSolutionError(
+            "pixels without a value cut the disc: its middle of light is not the body's",
+            ReasonCode.CUT_DISC,
+        )
     if saturation is not None:
         full = window[use] >= saturation
         # a star that is burnt out looks as wide as a disc
@@ -164,7 +169,8 @@ def _background(
     part = np.s_[y0 : y0 + 2 * wide + 1, x0 : x0 + 2 * wide + 1]
     values = picture[part].astype(np.float64)
     y, x = np.mgrid[y0 : y0 + values.shape[0], x0 : x0 + values.shape[1]]
-    sky = values[(labels[part] == 0) & (np.hypot(x - middle[0], y - middle[1]) > reach)]
+    dark = (labels[part] == 0) & np.isfinite(values)
+    sky = values[dark & (np.hypot(x - middle[0], y - middle[1]) > reach)]
     if sky.size < MIN_SKY_PIXELS:
         raise NoSolutionError(
             f"only {sky.size} pixels of sky about the disc, {MIN_SKY_PIXELS} are needed to tell "

@@ -73,17 +73,18 @@ def _rises(
                 # `step` walks from the dark pixel of the pair to the bright one
                 step = 1 if up else -1
                 y0, x0 = (y, x) if up else (y + dy, x + dx)
+                # asked so that pixels without a value, NaN, are neither dark nor bright
                 clean = True
-                for k in range(1, RUN_PX):
+                for k in range(RUN_PX):
                     dark = picture[y0 - k * step * dy, x0 - k * step * dx]
                     lit = picture[y0 + (k + 1) * step * dy, x0 + (k + 1) * step * dx]
-                    if dark >= threshold or lit < threshold:
+                    if not (dark < threshold and lit >= threshold):
                         clean = False
                         break
                 if not clean:
                     continue
                 far = picture[y0 + 3 * step * dy, x0 + 3 * step * dx]
-                if far - picture[y0 - step * dy, x0 - step * dx] < least_rise:
+                if not far - picture[y0 - step * dy, x0 - step * dx] >= least_rise:
                     continue
                 if count == places.shape[0]:
                     return count
@@ -113,7 +114,10 @@ def _gradients(picture: Float32Array, places: FloatArray, gradients: FloatArray)
 
 
 def scan_edges(picture: Float32Array, threshold: float, least_rise: float) -> Candidates:
-    """Rises of a picture (h, w) through a threshold that gain least_rise within four pixels."""
+    """Rises of a picture (h, w) through a threshold that gain least_rise within four pixels.
+
+    None reaches over pixels without a value, which are NaN.
+    """
     picture = np.ascontiguousarray(picture, dtype=np.float32)
     found = []
     for row_step in (0, 1):
@@ -123,7 +127,10 @@ def scan_edges(picture: Float32Array, threshold: float, least_rise: float) -> Ca
     pixels, directions = (np.concatenate(parts) for parts in zip(*found, strict=True))
     gradient = np.empty_like(pixels)
     _gradients(picture, pixels, gradient)
-    return Candidates(pixels, np.array(_STEPS, dtype=np.float64)[directions], gradient)
+    rises = Candidates(pixels, np.array(_STEPS, dtype=np.float64)[directions], gradient)
+    # no gradient beside pixels without a value
+    known = np.isfinite(gradient).all(axis=1)
+    return rises if known.all() else rises.subset(known)
 
 
 MIN_BLOB_PIXELS = 25  # a star, even a bright one through a wide blur, is smaller
@@ -228,12 +235,15 @@ def bounded_by_sky(
     gradient: FloatArray,
     threshold: float,
 ) -> BoolArray:
-    """Which rises (n,) at pixels (n, 2) have mostly sky on their dark side, and no lit ground."""
+    """Which rises (n,) at pixels (n, 2) have mostly sky on their dark side, and no lit ground.
+
+    Of what lies outside the picture, or has no value, nothing is known.
+    """
     inward = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
     dark = np.zeros(len(pixels))
     for step in SKY_STEPS_PX:
         places = pixels - step * inward
-        dark += (_at(picture, places) < threshold) | ~camera.contains(places)
+        dark += ~(_at(picture, places) >= threshold) | ~camera.contains(places)
     return dark >= len(SKY_STEPS_PX) - 1
 
 

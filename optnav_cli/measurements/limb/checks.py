@@ -12,7 +12,7 @@ from optnav_cli.measurements.segmentation import Blobs, Levels
 from optnav_cli.reasons import ReasonCode, distinct_texts
 
 MIN_BODY_PIXELS = 100  # lit; less is a disc for the brightness centre
-MAX_SATURATED = 0.8  # of the lit pixels
+MAX_SATURATED = 1.0 / 3.0  # of the lit pixels
 FULL_SHARE = 0.97  # of the picture lit: there is no sky
 MIN_ARC_DEG = 30.0
 MIN_SEEN_SHARE = 0.55  # of the lit limb inside the picture
@@ -38,7 +38,7 @@ def check_blobs(picture: Float32Array, blobs: Blobs, levels: Levels, saturation:
             ReasonCode.SMALL_DISC,
         )
     lit = int(blobs.area[blobs.area >= MIN_BLOB_PIXELS].sum())
-    if lit > FULL_SHARE * picture.size:
+    if lit > FULL_SHARE * np.count_nonzero(np.isfinite(picture)):
         raise NoSolutionError(
             f"no limb in view: the body fills the picture ({100.0 * lit / picture.size:.0f} % lit)",
             ReasonCode.NO_SKY,
@@ -47,7 +47,8 @@ def check_blobs(picture: Float32Array, blobs: Blobs, levels: Levels, saturation:
     if share > MAX_SATURATED:
         raise NoSolutionError(
             f"saturated: {100.0 * share:.0f} % of the lit pixels are at full scale, "
-            "which hides where the edge is; expose shorter",
+            f"{saturation:g} counts, which hides where the edge is; expose shorter, or state the "
+            "sensor's full scale in the camera file (saturation_counts) if it is another",
             ReasonCode.SATURATED,
         )
 
@@ -84,7 +85,7 @@ def check_sharp(sharpness: FloatArray) -> None:
 
     sharpness (n,) of the limb's points, see `sharpness` of the candidates
     """
-    middle = float(np.median(sharpness))
+    middle = float(np.nanmedian(sharpness)) if np.isfinite(sharpness).any() else 0.0
     if middle < MIN_SHARPNESS:
         raise NoSolutionError(
             f"no lit limb where the Sun claims it: the edge there gains {100.0 * middle:.0f} % of "
@@ -95,9 +96,15 @@ def check_sharp(sharpness: FloatArray) -> None:
 
 
 def check_hidden(
-    camera: Camera, cone: Cone, rays: FloatArray, sun_camera: FloatArray | None
+    picture: Float32Array,
+    camera: Camera,
+    cone: Cone,
+    rays: FloatArray,
+    sun_camera: FloatArray | None,
 ) -> None:
     """Raises NoSolutionError when half of the lit limb inside the picture was not found.
+
+    Where the picture has no values, none of it can be.
 
     Something covers it, or the cone or the Sun is wrong.
     """
@@ -112,6 +119,8 @@ def check_hidden(
     pixels = camera.project(np.linalg.solve(cone.stretch, curve.T).T)
     with np.errstate(invalid="ignore"):
         expected &= camera.contains(pixels, 4.0 * BORDER_PX)
+    at = np.rint(pixels[expected]).astype(np.int64)
+    expected[expected] = np.isfinite(picture[at[:, 1], at[:, 0]])
     found = azimuths(cone, rays) % (2.0 * np.pi)
     cell = np.rint(found / (2.0 * np.pi / AZIMUTHS)).astype(np.int64)
     seen = np.zeros(AZIMUTHS, dtype=bool)

@@ -87,7 +87,7 @@ def find_limb(
 ) -> LimbPoints:
     """Find the lit limb of the one body in a picture.
 
-    picture     (h, w)  counts
+    picture     (h, w)  counts; NaN where a pixel has no value
     sun_camera  (3,)    unit vector to the Sun, camera frame; None where it is not known
     saturation  counts at which a pixel is full; None where the format does not say
     stretch     (3, 3)  makes the body a sphere, from the camera frame: diag(1 / radii) @
@@ -116,7 +116,7 @@ def find_limb(
     checks.check_arc(arc, len(limb))
     checks.check_sharp(sharpness(picture, limb))
     checks.check_others(picture, camera, candidates, everywhere, cone, levels, relief)
-    checks.check_hidden(camera, cone, where.rays, sun_camera)
+    checks.check_hidden(picture, camera, cone, where.rays, sun_camera)
 
     limb, where = _thinned(cone, limb, where)
     profiles, places, bend = profiles_across(picture, camera, limb, where, cone, sun_camera)

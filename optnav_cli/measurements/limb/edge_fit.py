@@ -336,7 +336,7 @@ def profiles_across(
     bend = -0.5 * ((cone.depth(aside) / rad_per_px).mean(axis=0) - distance)
     deepest = np.minimum(MAX_DEPTH_PX, np.maximum(MAX_DEPTH_SHARE / np.maximum(bend, 1e-6), 2.5))
     usable = inside & (depth < distance[:, None] + deepest[:, None])
-    usable &= camera.contains(places.astype(np.float64), BORDER_PX - 3)
+    usable &= camera.contains(places.astype(np.float64), BORDER_PX - 3) & np.isfinite(values)
     depth = np.where(usable, depth, np.nan)
 
     normal = outward_normals(where, inward, cone.stretch)

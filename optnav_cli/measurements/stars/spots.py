@@ -52,10 +52,22 @@ class StarSpots:
 
 
 def find_spots(picture: Float32Array, saturation: float | None = None) -> StarSpots:
-    """The spots of a picture (h, w) that look like stars."""
+    """The spots of a picture (h, w) that look like stars.
+
+    Pixels without a value are NaN; a spot whose window reaches one is left out.
+    """
+    gaps = np.isnan(picture)
+    holed = bool(gaps.any())
+    if holed:
+        picture = np.where(gaps, np.nanmedian(picture), picture)
     over = picture - _background(picture)
+    over[gaps] = 0.0
     smooth = cv2.GaussianBlur(over, (0, 0), SMOOTH_PX)
-    body = _bodies(picture, over, _noise(smooth, np.ones(over.shape, bool)), saturation)
+    body = _bodies(picture, over, _noise(smooth, ~gaps), saturation)
+    share = float(body.mean())
+    if holed:
+        wide = np.ones((2 * WINDOW_PX + 1, 2 * WINDOW_PX + 1), np.uint8)
+        body = body | (cv2.dilate(gaps.view(np.uint8), wide) > 0)
     # relief of a lit body is no noise: with a third of the picture it would count 1.6 times
     sigma, noise = _noise(smooth, ~body), _noise(over, ~body)
     lit = (smooth > THRESHOLD_SIGMAS * sigma) & ~body
@@ -89,7 +101,7 @@ def find_spots(picture: Float32Array, saturation: float | None = None) -> StarSp
     table = np.array(found[:MAX_SPOTS]).reshape(-1, 3)
     # a centroid's noise of a Gaussian spot over white noise, with its window
     by_noise = noise * np.sqrt(8.0 * np.pi) * BLUR_SIGMA_PX**2 / np.maximum(table[:, 2], 1e-9)
-    return StarSpots(table[:, :2], table[:, 2], by_noise, trails, hot, float(body.mean()))
+    return StarSpots(table[:, :2], table[:, 2], by_noise, trails, hot, share)
 
 
 def _noise(over: NDArray[Any], sky: BoolArray) -> float:

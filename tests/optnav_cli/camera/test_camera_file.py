@@ -51,6 +51,12 @@ def test_a_focal_length_in_millimetres_needs_the_pitch(tmp_path: Path) -> None:
         ("focal_length_px = 500.0", "focal_length_px = 1e-2", "longer side, 640 px"),
         ("focal_length_px = 500.0", "focal_length_px = 9e8", "longer side, 640 px"),
         ("focal_length_px", "focal_lenght_px", "focal_length_px"),
+        ("width_px = 640", "width_px = 640\nsaturation_counts = 0", "saturation_counts = 0"),
+        (
+            "width_px = 640",
+            "width_px = 640\nvalid_area_px = [9, 9, 640, 99]",
+            r"\[9, 9, 640, 99\]; wanted",
+        ),
         ("width_px = 640", "width_px = 0", "width_px = 0: must be"),
         ("width_px = 640", "width_px = 640.5", "width_px"),
         ('"pinhole"', '"pinehole"', "pinhole"),
@@ -183,3 +189,11 @@ def test_the_apollo_lens_has_the_published_distortion() -> None:
 def test_an_unknown_preset_is_answered_with_the_nearest() -> None:
     with pytest.raises(ConfigError, match="did you mean 'shnk'"):
         preset_camera("shnkk")
+
+
+def test_full_scale_and_usable_area_are_read_and_written(tmp_path: Path) -> None:
+    text = GOOD + "saturation_counts = 4095\nvalid_area_px = [8, 0, 631, 470]\n"
+    camera = load_camera(written(tmp_path, text))
+    assert camera.saturation_counts == 4095.0
+    assert camera.valid_area_px == (8, 0, 631, 470)
+    assert load_camera(written(tmp_path, camera_toml(camera))) == camera

@@ -6,6 +6,7 @@ import tracemalloc
 import warnings
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,8 @@ import rasterio
 
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.full_scale import find_full_scale
+from optnav_cli.frames.picture import Picture, load_picture
 from optnav_cli.measurements.segmentation import measure_levels
 
 CAMERA = Camera("test", "pinhole", 200, 160, 300.0, (99.5, 79.5))
@@ -108,21 +110,105 @@ def test_a_palette_of_grays_is_gray(suffix: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_picture(path, CAMERA).values, 255 - index)
 
 
-def test_colours_and_transparent_pixels_are_refused(tmp_path: Path) -> None:
+def test_colours_are_refused(tmp_path: Path) -> None:
     gray = content()
-    tinted, holed = gray.copy(), np.full_like(gray, 255)
+    tinted = gray.copy()
     tinted[7, 9] -= 1
-    holed[0, 0] = 254
     refused(
         coloured(tmp_path / "tinted.png", np.stack([gray, tinted, gray]), None),
         rf"in colour: at pixel \(9, 7\) one band is {gray[7, 9]} and another {tinted[7, 9]}",
     )
-    refused(
-        coloured(tmp_path / "holed.png", np.stack([gray, gray, gray, holed]), None),
-        "transparent pixels",
-    )
     reds = {n: (n, 0, 0, 255) for n in range(256)}
     refused(coloured(tmp_path / "reds.png", gray[None], reds), "in colour")
+
+
+def without(picture: Picture, gap: np.ndarray, values: np.ndarray) -> None:
+    """Demand that the pixels of a gap, and no others, have no value."""
+    assert picture.valid is not None
+    np.testing.assert_array_equal(picture.valid, ~gap)
+    np.testing.assert_array_equal(picture.values, np.where(gap, np.nan, values))
+
+
+def gap() -> np.ndarray:
+    mask = np.zeros(CAMERA.shape, bool)
+    mask[:, :12], mask[70:80, 90:120] = True, True
+    return mask
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_transparent_pixels_have_no_value(suffix: str, tmp_path: Path) -> None:
+    gray, alpha = content(), np.where(gap(), 0, 255).astype(np.uint8)
+    path = tmp_path / f"a.{suffix}"
+    if suffix == "png":
+        coloured(path, np.stack([gray, gray, gray, alpha]), None)
+    else:
+        profile = {"driver": "GTiff", "width": 200, "height": 160, "count": 2, "dtype": "uint8"}
+        with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+            file = rasterio.open(path, "w", alpha="yes", photometric="minisblack", **profile)
+        with file:
+            file.write(np.stack([gray, alpha]))
+    without(load_picture(path, CAMERA), gap(), gray)
+
+
+def test_a_mask_band_and_a_no_data_value_leave_pixels_without_a_value(tmp_path: Path) -> None:
+    values = content(np.uint16, 4000)
+    values[gap()] = 4050
+    profile = {"driver": "GTiff", "width": 200, "height": 160, "count": 1, "dtype": "uint16"}
+    for name, more in (("mask", {}), ("nodata", {"nodata": 4050})):
+        with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+            file = rasterio.open(tmp_path / f"{name}.tif", "w", **profile, **more)
+        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), file:
+            file.write(values, 1)
+            if not more:
+                file.write_mask(~gap())
+        without(load_picture(tmp_path / f"{name}.tif", CAMERA), gap(), values)
+
+
+def test_nan_and_what_lies_outside_the_usable_area_have_no_value(tmp_path: Path) -> None:
+    values = content().astype(np.float32)
+    holed = np.where(gap(), np.float32(np.nan), values)
+    path = coloured(tmp_path / "a.tif", holed[None], None)
+    without(load_picture(path, CAMERA), gap(), values)
+    outside = np.ones(CAMERA.shape, bool)
+    outside[5:151, 20:191] = False
+    camera = replace(CAMERA, valid_area_px=(20, 5, 190, 150))
+    without(load_picture(path, camera), gap() | outside, values)
+    nothing = coloured(tmp_path / "b.tif", np.full_like(holed, np.nan)[None], None)
+    refused(nothing, "no pixel of the picture has a value")
+
+
+@pytest.mark.parametrize(
+    ("kind", "full", "factor"),
+    [("uint16", 4095.0, 1), ("uint16", 16383.0, 1), ("uint16", 65520.0, 16), ("uint8", 240.0, 1)]
+    + [("float32", 4095.0, 1), ("float32", 1.17, 1), ("int16", 16383.0, 1)],
+)
+def test_clipped_pixels_show_the_full_scale(
+    kind: str, full: float, factor: int, tmp_path: Path
+) -> None:
+    random = np.random.default_rng(2)
+    light = random.uniform(0.05, 1.6, CAMERA.shape) * full
+    counts = np.minimum(light, full)
+    if full > 2.0:
+        counts = np.floor(counts / factor) * factor
+    values = counts.astype(kind)
+    picture = load_picture(coloured(tmp_path / "a.tif", values[None], None), CAMERA)
+    assert picture.saturation is not None
+    share = float((picture.values >= picture.saturation).mean())
+    assert share == pytest.approx(float((light >= full).mean()), abs=1e-3)
+    stated = replace(CAMERA, saturation_counts=0.5 * full)
+    picture = load_picture(tmp_path / "a.tif", stated)
+    half = float((picture.values >= picture.saturation).mean())
+    assert half == pytest.approx(float((light >= 0.5 * full).mean()), abs=2e-2)
+
+
+@pytest.mark.parametrize("spread", [1, 257])
+def test_smooth_histograms_show_no_full_scale(spread: int) -> None:
+    random = np.random.default_rng(5)
+    for peak in (20.0, 200.0, 3000.0):
+        light = random.normal(0.6 * peak, 0.1 * peak, (300, 300)) + random.normal(2.0, 1.0)
+        counts = np.clip(np.rint(light), 0, None).astype(np.uint16) * spread
+        assert find_full_scale(counts) is None
+        assert find_full_scale(light.astype(np.float32)) is None
 
 
 def refused(path: Path, message: str) -> None:
@@ -173,7 +259,6 @@ def test_a_picture_of_another_size_names_both_sizes(tmp_path: Path) -> None:
 def test_colour_is_refused(tmp_path: Path) -> None:
     grey = content()
     refused(saved(tmp_path / "a.png", np.dstack([grey, grey // 2, grey])), "colour")
-    refused(saved(tmp_path / "b.png", np.dstack([grey] * 4)), "transparent")
 
 
 @pytest.mark.parametrize(
@@ -183,9 +268,9 @@ def test_a_picture_without_content_is_refused(value: int, message: str, tmp_path
     refused(saved(tmp_path / "a.png", np.full(CAMERA.shape, value, np.uint8)), message)
 
 
-def test_a_picture_with_nan_is_refused(tmp_path: Path) -> None:
+def test_a_picture_with_infinities_is_refused(tmp_path: Path) -> None:
     values = content().astype(np.float32)
-    values[3, 4] = np.nan
+    values[3, 4] = np.inf
     refused(saved(tmp_path / "a.tif", values), "not finite")
 
 

@@ -9,6 +9,7 @@ from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb.detection import find_limb
 from optnav_cli.measurements.limb.sun_check import rejection_of_sun, sun_side_angle
+from optnav_cli.measurements.segmentation import measure_levels
 from tests.optnav_cli.conftest import pixel_grid
 from tests.optnav_cli.measurements.disc.drawn_discs import (
     RADIUS_M,
@@ -208,3 +209,41 @@ def test_the_wrong_sun_gives_no_limb():
     half = Rotation.from_rotvec(np.pi * centre / np.linalg.norm(centre))
     with pytest.raises(NoSolutionError, match="no lit limb where the Sun claims it"):
         find_limb(expose(light, 50.0, rng), camera, half.apply(sun))
+
+
+def holes(picture, centre_px):
+    """Where margins, lost lines and a block across the limb have no value."""
+    gap = np.zeros(picture.shape, bool)
+    gap[:, :25], gap[140:148] = True, True
+    x, y = np.rint(centre_px).astype(int)
+    gap[y - 120 : y - 80, x - 12 : x + 13] = True
+    return gap
+
+
+def test_pixels_without_a_value_are_neither_sky_nor_ground():
+    """The limb is as good about gaps as without them; none of its points stands at a gap."""
+    camera, centre, sun, light, rng = scene(100, 60)
+    picture = expose(light, 50.0, rng) + np.float32(40.0)
+    gap = holes(picture, camera.project(centre))
+    whole = measure_levels(picture)
+    picture[gap] = np.nan
+    limb = find_limb(picture, camera, sun, saturation=290.0)
+    outward = outward_px(camera, centre, limb)
+    weight = limb.sigma_px**-2
+    assert abs(weight @ outward / weight.sum()) < 0.02
+    assert 0.5 < np.mean(((outward - outward.mean()) / limb.sigma_px) ** 2) < 2.0
+    assert limb.cut_by_frame
+    at = np.rint(limb.pixels).astype(int)
+    assert not gap[at[:, 1], at[:, 0]].any()
+    assert measure_levels(picture).sky == pytest.approx(whole.sky, abs=0.3)
+    assert measure_levels(picture).noise == pytest.approx(whole.noise, rel=0.1)
+
+
+def test_a_third_of_the_lit_pixels_at_full_scale_is_refused_with_share_and_scale():
+    camera, _, sun, light, rng = scene(100, 40)
+    picture = expose(light, 50.0, rng)
+    lit = picture[picture > 30.0]
+    full = float(np.quantile(lit, 0.55))
+    with pytest.raises(NoSolutionError, match=rf"saturated: 4\d % .* {full:g} counts") as caught:
+        find_limb(np.minimum(picture, full), camera, sun, saturation=full)
+    assert caught.value.code == "saturated"
