@@ -47,6 +47,17 @@ def test_a_free_velocity_keeps_all_passes_at_one_distance(distance: float) -> No
     assert np.degrees(np.arctan2(places[:, 1], places[:, 0])) == pytest.approx(90.0, abs=1e-3)
 
 
+def test_a_start_that_cannot_be_the_farthest_pass_keeps_a_narrow_ring() -> None:
+    """From anomaly 270 deg at 50 km no orbit has the start as its farthest pass; without a way out
+    of that minimum the spread is 1.9 km."""
+    section = QsoSection(time="2026-01-01T00:00:00Z", distance_km=50.0, anomaly_deg=(270.0,))
+    (tdb_s,) = start_times(section, MOTION)
+    found = QsoSearch(MOTION, QsoStart(5e4, np.pi / 2.0, float(tdb_s)), 5.0).solve()
+    assert found.spread_m < 730.0
+    assert found.ring_m < 800.0
+    assert found.trials < 400  # 1 ms each
+
+
 def test_the_theory_is_14_percent_off_at_50_km_and_better_far_away() -> None:
     def off(distance: float) -> float:
         found = orbit(distance)
