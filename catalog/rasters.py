@@ -383,6 +383,8 @@ def _check_sidecar(path: Path) -> None:
         head = file.read(HEAD_BYTES)
     if ending.endswith((".ovr", ".msk")) and not head.startswith(_TIFF):
         raise DataError(f"{path}: is no TIFF; remove it, optnav does not need it")
+    if _PDS4.match(head):  # the label of a product of its own, which no driver reads beside others
+        return
     if ending.endswith(".xml") and _ELSEWHERE.search(head.decode("utf-8", "replace")):
         raise DataError(f"{path}: names a file elsewhere; remove it")
 

@@ -19,6 +19,7 @@ from catalog.geometry.grid import sample_bicubic
 from catalog.rasters import TERRAIN, open_raster, reading_raster
 from catalog.terrain.dem.file import place_of
 from catalog.terrain.dem.georeference import Georeference
+from catalog.terrain.dem.label import read_map_label
 from catalog.terrain.dem.validity import Validity
 from catalog.terrain.slopes import DANGEROUS_DEG
 from optnav_cli.hazard.ground_view import PictureOnGround, box_means
@@ -79,10 +80,11 @@ def read_slopes(path: Path, body: Body) -> PriorSlopes:
                 "gdal_translate -projwin"
             )
         remedy = "give it one with gdal_edit.py -a_srs"
-        place = place_of(path, None, "east", body, dataset, remedy)
+        place = place_of(path, None, None, body, dataset, remedy)
         stored = dataset.read(1, masked=True)
         degrees = stored.astype(np.float32).filled(np.nan)
-        degrees[~Validity.of(dataset).valid(dataset, stored.data)] = np.nan
+        validity = Validity.of(dataset, special=read_map_label(path, dataset).special)
+        degrees[~validity.valid(dataset, stored.data)] = np.nan
     known = degrees[np.isfinite(degrees)]
     if not known.size:
         raise DataError(f"{path}: holds no slope; name another map")

@@ -24,9 +24,9 @@ from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.rasters import TERRAIN, open_raster, reading_raster
 from catalog.rendering.rays.scene import Reflectivity
-from catalog.special_values import ISIS
 from catalog.terrain.dem.file import nodata_range, path_of, place_of
-from catalog.terrain.dem.validity import ISIS_DRIVERS, Validity, unused_bands
+from catalog.terrain.dem.label import read_map_label
+from catalog.terrain.dem.validity import Validity, unused_bands
 from catalog.terrain.synthetic import fractal
 from optnav_cli.simulation.sections import AlbedoMapSettings, TruthSettings
 
@@ -99,7 +99,7 @@ class AlbedoMap:
                 self._extent = _extent(path, settings.extent_deg)
             else:
                 self._place = _placed(path, body, dataset)
-            values = _brightness(dataset, settings.coding)
+            values = _brightness(path, dataset, settings.coding)
             for remark in unused_bands(dataset, _bands(dataset), "brightness"):
                 log.warning("%s: %s", path, remark)
         mean = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
@@ -168,7 +168,7 @@ def _placed(path: Path, body: Body, dataset: Any) -> Any:
     remedy = "state its edges: extent_deg = [west, south, east, north] in albedo_map of [truth]"
     if dataset.crs is None or dataset.transform.is_identity:
         raise DataError(f"{path}: says neither its coordinate system nor its edges; {remedy}")
-    return place_of(path, None, "east", body, dataset, remedy)
+    return place_of(path, None, None, body, dataset, remedy)
 
 
 def _extent(path: Path, edges: tuple[float, float, float, float]) -> tuple[float, ...]:
@@ -186,12 +186,12 @@ def _bands(dataset: Any) -> int:
     return 3 if dataset.count >= 3 else 1
 
 
-def _brightness(dataset: Any, coding: str) -> Float32Array:
+def _brightness(path: Path, dataset: Any, coding: str) -> Float32Array:
     """Read linear brightness (rows, cols), of three bands their mean; NaN where there is none.
 
     sRGB is decoded by IEC 61966-2-1.
     """
-    bands = range(1, _bands(dataset) + 1)
+    bands, special = range(1, _bands(dataset) + 1), read_map_label(path, dataset).special
     total = np.zeros(dataset.shape, np.float32)
     for band in bands:
         raw = dataset.read(band)
@@ -202,7 +202,6 @@ def _brightness(dataset: Any, coding: str) -> Float32Array:
             curve = ((values + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
             values = np.where(values <= 0.04045, values / np.float32(12.92), curve)
         low, high = nodata_range(dataset.nodata, str(raw.dtype))
-        special = ISIS.get(str(raw.dtype)) if dataset.driver in ISIS_DRIVERS else None
         valid = Validity.of(dataset, band, special).valid(dataset, raw, band)
         stored = raw.astype(np.float64)  # the bounds may lie beyond a float32
         values[~valid | ((stored >= low) & (stored <= high))] = np.nan

@@ -21,7 +21,9 @@ from catalog.bodies.body import Body
 from catalog.config import BUNDLED, resource
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.kernel import kernel
+from catalog.terrain.dem.crs import eastward
 from catalog.terrain.dem.georeference import Georeference, georeference
+from catalog.terrain.dem.label import read_map_label
 
 # A CRS made for another body is off by tens of percent; spheres of one body differ by less.
 RADIUS_TOLERANCE = 0.01
@@ -45,6 +47,8 @@ STATED_UNITS: dict[Units, tuple[str, ...]] = {
     "dm": ("dm", "decimeter", "decimetre", "decimeters", "decimetres"),
     "cm": ("cm", "centimeter", "centimetre", "centimeters", "centimetres"),
 }
+
+NO_UNITS = ("", "N/A", "UNK", "NULL", "NONE")  # of labels
 
 SHARED = "shared:"  # a path that begins so is a file in the folder that SHARED_FOLDER names
 SHARED_FOLDER = "OPTNAV_SHARED_DATA"
@@ -84,13 +88,13 @@ def label_of(path: Path) -> Path:
     return path
 
 
-def file_units(path: Path, dataset: Any, section: str) -> Units:
-    """Units that the band states, metres when it states none. Raises DataError for foreign ones.
+def file_units(path: Path, stated: str, section: str) -> Units:
+    """Units that a file states, metres when it states none. Raises DataError for foreign ones.
 
     section  where other ones could be set
     """
-    stated = (dataset.units[0] or "").strip()
-    if not stated:
+    stated = stated.strip("'\" ")
+    if stated.upper() in NO_UNITS:
         return "m"
     for units, names in STATED_UNITS.items():
         if stated.lower() in names:
@@ -113,12 +117,19 @@ def crs_of(text: str) -> Any:
 
 
 def place_of(
-    path: Path, crs_override: str | None, longitude: str, body: Body, dataset: Any, remedy: str
+    path: Path,
+    crs_override: str | None,
+    longitude: str | None,
+    body: Body,
+    dataset: Any,
+    remedy: str,
 ) -> Georeference:
     """The raster's georeference. Raises DataError for no CRS, another body or no geotransform.
 
-    remedy  for a file without a CRS, or with one that cannot be used
+    longitude  "west" where those that the file states count westward; None: as its label says
+    remedy     for a file without a CRS, or with one that cannot be used
     """
+    longitude = longitude or read_map_label(path, dataset).longitude
     try:
         crs = crs_of(crs_override) if crs_override is not None else dataset.crs
     except (RasterioError, ValueError) as error:
@@ -127,7 +138,6 @@ def place_of(
         raise DataError(f"{path}: has no coordinate system; {remedy}")
     if dataset.transform.is_identity:
         raise DataError(f"{path}: has no place on the map (no geotransform); georeference it")
-    sign = -1.0 if longitude == "west" else 1.0
     affine = (*dataset.transform,)[:6]
     a, b, _, d, e, _ = affine
     if not (np.isfinite(affine).all() and abs(a * e - b * d) > 1e-12 * max(a * a, e * e, b * b)):
@@ -138,7 +148,8 @@ def place_of(
     try:
         if _GRIDS.search(crs.to_wkt()):
             raise ValueError("it names a file of grid shifts")
-        place = georeference(crs.to_wkt(), affine, dataset.shape, sign, body.radius_m)
+        wkt, affine, sign = eastward(crs.to_wkt(), affine, longitude == "west")
+        place = georeference(wkt, affine, dataset.shape, sign, body.radius_m)
         semi_major, semi_minor = place.ellipsoid_m
     except (RasterioError, ProjError, ValueError) as error:
         raise DataError(
@@ -166,8 +177,9 @@ def place_of(
         )
     if abs(semi_major - semi_minor) > 1e-6 * semi_major:
         raise DataError(
-            f"{path}: its coordinate system is on a flattened ellipsoid; wanted a sphere "
-            "(planetocentric latitudes): reproject it with gdalwarp"
+            f"{path}: its coordinate system is on a flattened ellipsoid, of {semi_major:.10g} and "
+            f"{semi_minor:.10g} m; wanted planetocentric latitudes and heights above a sphere: "
+            "convert both (gdalwarp by itself leaves latitudes and heights as they are)"
         )
     return place
 

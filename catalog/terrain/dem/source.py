@@ -22,7 +22,6 @@ from catalog.bodies.body import Body
 from catalog.errors import DataError
 from catalog.geometry.grid import sample_bicubic
 from catalog.rasters import TERRAIN, open_raster, reading_raster, reopen_raster
-from catalog.special_values import ISIS
 from catalog.terrain.dem.file import (
     RADIUS_TOLERANCE,
     Conversion,
@@ -33,7 +32,8 @@ from catalog.terrain.dem.file import (
     place_of,
 )
 from catalog.terrain.dem.georeference import Georeference, column_spans
-from catalog.terrain.dem.validity import ISIS_DRIVERS, Validity, unused_bands
+from catalog.terrain.dem.label import MapLabel, read_map_label
+from catalog.terrain.dem.validity import Validity, unused_bands
 
 log = logging.getLogger(__name__)
 
@@ -44,6 +44,10 @@ PROBE_SIZE = 32
 # smoothest lunar mare has more relief over such a distance.
 SUSPICIOUS_EXTENT_M = 50e3
 SUSPICIOUS_RELIEF_M = 25.0
+# Heights above another sphere than the body's are shifted. Spheres in use for one body differ by
+# less than this share of its radius; those of irregular bodies differ by more.
+MAX_DATUM_SHIFT = 5e-3
+MIN_DATUM_SHIFT_M = 0.01  # below it the shift is rounding of a radius, not worth a word
 MAX_WINDOW = 100_000_000  # heights that are read for places asked at once
 MARGIN = 4  # pixels about those places, for the interpolation
 
@@ -59,7 +63,8 @@ class DemSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                values near the body's radius are taken as radii
     scale, offset, nodata  override the file's own; height = value * scale + offset, in `units`
     units      of the scaled values; without it the file's own, else metres
-    longitude  "west" for a map whose longitudes count westward
+    longitude  "west" for a map whose longitudes count westward: x of a map in degrees, the central
+               meridian of a projected one, whose x is an easting; without it as its label says
     crs        for a file without one (or with a wrong one): a code, WKT or a PROJ string
     """
 
@@ -71,7 +76,7 @@ class DemSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     offset: float | None = None
     nodata: float | None = None
     units: Literal["m", "km", "dm", "cm"] | None = None
-    longitude: Literal["east", "west"] = "east"
+    longitude: Literal["east", "west"] | None = None
     crs: str | None = None
 
 
@@ -138,8 +143,10 @@ class DemSource:
         if np.dtype(dtype).kind not in "iuf":
             raise DataError(f"{path}: pixels are {dtype}; wanted whole or real numbers")
         remedy = f'set `crs` in {section}, for example crs = "IAU_2015:30100"'
-        place = place_of(path, settings.crs, settings.longitude, body, dataset, remedy)
-        units = settings.units or file_units(path, dataset, section)
+        label = read_map_label(path, dataset)
+        longitude = settings.longitude or label.longitude
+        place = place_of(path, settings.crs, longitude, body, dataset, remedy)
+        units = settings.units or file_units(path, dataset.units[0] or label.unit, section)
         factor = METRES[units]
         scale = settings.scale if settings.scale is not None else float(dataset.scales[0])
         offset = settings.offset if settings.offset is not None else float(dataset.offsets[0])
@@ -150,9 +157,8 @@ class DemSource:
             )
         nodata = settings.nodata if settings.nodata is not None else dataset.nodata
         convert = Conversion(scale * factor, offset * factor, *nodata_range(nodata, dtype))
-        special = ISIS.get(dtype) if dataset.driver in ISIS_DRIVERS else None
-        validity = Validity.of(dataset, special=special)
-        for remark in unused_bands(dataset, 1, "heights"):
+        validity = Validity.of(dataset, special=label.special)
+        for remark in (*unused_bands(dataset, 1, "heights"), *label.remarks):
             log.warning("%s: %s", path, remark)
         block = tuple(dataset.block_shapes[0])
         source = cls(
@@ -170,6 +176,8 @@ class DemSource:
             dataset,
         )
         source._settle_radius(source._probe(), offset_given=offset * factor)
+        if source.heights == "height" and settings.offset is None:
+            source._settle_datum(label)
         return source
 
     def _probe(self) -> FloatArray:
@@ -197,6 +205,32 @@ class DemSource:
             self.heights = "radius"
         if self.heights == "radius":
             self.convert = self.convert._replace(offset_m=self.convert.offset_m - radius)
+
+    def _settle_datum(self, label: MapLabel) -> None:
+        """Bring heights above the map's sphere to the body's. Raises DataError for far ones.
+
+        An `offset` that the settings state says what heights count from.
+        """
+        remedy = f'set heights = "radius" in {self.section} if they are radii, or convert them'
+        if label.is_flattened:
+            equatorial, polar = label.axes_m
+            raise DataError(
+                f"{self.path}: has heights above an ellipsoid of {equatorial / 1e3:.10g} and "
+                f"{polar / 1e3:.10g} km; wanted heights above a sphere: {remedy}"
+            )
+        sphere, radius = self.place.ellipsoid_m[0], self.body.radius_m
+        shift = sphere - radius
+        words = f"has heights above a sphere of {sphere / 1e3:.10g} km"
+        if abs(shift) > MAX_DATUM_SHIFT * radius:
+            raise DataError(
+                f"{self.path}: {words}, {self.body.name} has {radius / 1e3:.10g}; wanted a "
+                f"difference of at most {MAX_DATUM_SHIFT * radius:.6g} m: {remedy}, or state "
+                f"`offset`, what is added to them to count from {radius / 1e3:.10g} km"
+            )
+        if abs(shift) >= MIN_DATUM_SHIFT_M:
+            words += f"; {shift:+.6g} m bring them to the body's, {radius / 1e3:.10g} km"
+            log.warning("%s: %s", self.path, words)
+        self.convert = self.convert._replace(offset_m=self.convert.offset_m + shift)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -16,7 +16,9 @@ from rasterio.windows import Window
 from catalog.arrays import BoolArray
 from catalog.special_values import SpecialValues
 
-ISIS_DRIVERS = ("ISIS3", "ISIS2")
+# Their own masks are of the special values that read_map_label has; that of PDS4 takes those in
+# hexadecimal for 0.
+LABELLED = ("ISIS3", "ISIS2", "PDS4")
 
 
 @dataclass(frozen=True)
@@ -36,9 +38,8 @@ class Validity:
     def of(cls, dataset: Any, band: int = 1, special: SpecialValues | None = None) -> "Validity":
         """Find the mask of a band of an open dataset."""
         flags = set(dataset.mask_flag_enums[band - 1])
-        # the ISIS driver's own mask is of the special pixels, which the table has
         plain = {MaskFlags.all_valid}, {MaskFlags.nodata}
-        own = flags not in plain and not (not flags and dataset.driver in ISIS_DRIVERS)
+        own = flags not in plain and not (not flags and dataset.driver in LABELLED)
         alpha = 0
         if MaskFlags.alpha not in flags and ColorInterp.alpha in dataset.colorinterp:
             alpha = dataset.colorinterp.index(ColorInterp.alpha) + 1

@@ -11,6 +11,7 @@ from catalog.terrain.dem.file import Conversion, nodata_range
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 from catalog.terrain.slopes import summarize
+from tests.catalog.terrain.maps import isis_cube
 
 SIZE = 64
 HOLE = np.s_[10:20, 30:45]
@@ -159,60 +160,3 @@ def test_special_pixels_of_isis_cubes_are_no_heights(tmp_path, moon, dtype, base
     assert np.isnan(heights[3, : len(marked)]).all()
     heights[3], expected[3] = 0.0, 0.0
     np.testing.assert_array_equal(heights, expected)
-
-
-ISIS_TYPES = {
-    "uint8": "UnsignedByte",
-    "int16": "SignedWord",
-    "uint16": "UnsignedWord",
-    "int32": "SignedInteger",
-    "uint32": "UnsignedInteger",
-    "float32": "Real",
-}
-
-
-def isis_cube(path, values, base=0.0, multiplier=1.0, **mapping):
-    """An ISIS cube with a map projection; `mapping` replaces keywords of its group Mapping."""
-    rows, cols = values.shape
-    resolution = 2.0 * np.pi * 1737400.0 / cols / 4.0
-    words = {
-        "ProjectionName": "SimpleCylindrical",
-        "TargetName": "Moon",
-        "EquatorialRadius": "1737400.0 <meters>",
-        "PolarRadius": "1737400.0 <meters>",
-        "LatitudeType": "Planetocentric",
-        "LongitudeDirection": "PositiveEast",
-        "LongitudeDomain": "360",
-        "CenterLongitude": "0.0",
-        "UpperLeftCornerX": f"{-resolution * cols / 2.0:.6f} <meters>",
-        "UpperLeftCornerY": f"{resolution * rows / 2.0:.6f} <meters>",
-        "PixelResolution": f"{resolution:.9f} <meters/pixel>",
-        "Scale": f"{np.pi / 180.0 * 1737400.0 / resolution:.9f} <pixels/degree>",
-    } | mapping
-    group = "".join(f"    {key} = {value}\n" for key, value in words.items() if value is not None)
-    label = f"""Object = IsisCube
-  Object = Core
-    StartByte = 4097
-    Format = BandSequential
-    Group = Dimensions
-      Samples = {cols}
-      Lines = {rows}
-      Bands = 1
-    End_Group
-    Group = Pixels
-      Type = {ISIS_TYPES[str(values.dtype)]}
-      ByteOrder = Lsb
-      Base = {base}
-      Multiplier = {multiplier}
-    End_Group
-  End_Object
-  Group = Mapping
-{group}  End_Group
-End_Object
-Object = Label
-  Bytes = 4096
-End_Object
-End
-"""
-    path.write_bytes(label.encode().ljust(4096, b"\0") + values.tobytes())
-    return path

@@ -1,0 +1,218 @@
+"""What the label of a map says that GDAL reads past: ISIS cubes, PDS3, VICAR and PDS4 labels.
+
+GDAL takes the projection, its sphere, scale, offset and one no-data value. It reads past the
+direction of longitudes of ISIS and PDS3 labels (it heeds that of PDS4), past the unit of a PDS3
+image and past all special constants but one.
+"""
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+from xml.etree import ElementTree
+
+import numpy as np
+
+from catalog.errors import DataError
+from catalog.inputs import MEGABYTE, read_input
+from catalog.keywords import check_keywords
+from catalog.special_values import ISIS, MISSING_KEYWORDS, SATURATED_KEYWORDS, SpecialValues
+from catalog.terrain.dem.label_keywords import KEYWORDS, PDS3_MAPS
+
+MAX_LABEL = 8 * MEGABYTE
+FLATTENED = 1e-6  # by which axes of an ellipsoid differ, share of the larger one
+DOMAINS = {"ISIS3": "json:ISIS3", "PDS": "json:PDS", "VICAR": "json:VICAR"}
+PDS3_KM = 1000.0  # m; radii of PDS3 and VICAR labels are in km where no unit is stated
+_METRES = {"m": 1.0, "meters": 1.0, "meter": 1.0, "km": 1e3, "kilometers": 1e3, "kilometer": 1e3}
+_BASED = re.compile(r"(\d+)#([0-9A-Fa-f]+)#|(0)[xX]([0-9A-Fa-f]+)")
+
+Stated = dict[str, tuple[str, str]]  # value and unit by GROUP.KEYWORD
+
+
+@dataclass(frozen=True)
+class MapLabel:
+    """What a label says beside what GDAL takes from it.
+
+    longitude  direction in which longitudes count, where GDAL reads past it
+    axes_m     equatorial and polar radius
+    unit       of the scaled values
+    special    stored values that are no measurement
+    remarks    to show
+    """
+
+    longitude: Literal["east", "west"] | None = None
+    axes_m: tuple[float, float] = (1.0, 1.0)
+    unit: str = ""
+    special: SpecialValues | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def is_flattened(self) -> bool:
+        """Whether the reference of its heights is no sphere."""
+        equatorial, polar = self.axes_m
+        return abs(equatorial - polar) > FLATTENED * max(equatorial, polar)
+
+
+def read_map_label(path: Path, dataset: Any) -> MapLabel:
+    """Read the label of an open dataset; an empty one for a file of a format without labels.
+
+    Raises DataError for what can be neither used nor passed: planetographic latitudes on a
+    flattened ellipsoid, a rotated map, lines from the bottom.
+    """
+    dtype = str(dataset.dtypes[0])
+    if dataset.driver in DOMAINS:
+        stated = dict(_flat("", _metadata(dataset, DOMAINS[dataset.driver])))
+    elif dataset.driver == "PDS4":
+        stated = _elements(path)
+    else:
+        return MapLabel(special=ISIS.get(dtype) if dataset.driver == "ISIS2" else None)
+    texts = [(name, _plain(text)) for name, (text, _) in stated.items()]
+    remarks = check_keywords(path, texts, KEYWORDS)
+    names = "Mapping.LongitudeDirection", *_maps("POSITIVE_LONGITUDE_DIRECTION")
+    direction = _first(stated, *names)[0].strip("'\" ").upper().removeprefix("POSITIVE")
+    known: dict[str, Literal["east", "west"]] = {"EAST": "east", "WEST": "west"}
+    label = MapLabel(
+        known.get(direction),
+        _axes(stated),
+        _first(stated, "IMAGE.UNIT")[0],
+        _special(path, stated, dtype, dataset),
+        tuple(remarks),
+    )
+    names = "Mapping.LatitudeType", "Geodetic_Model.latitude_type", *_maps("COORDINATE_SYSTEM_NAME")
+    kind = _first(stated, *names)[0]
+    if label.is_flattened and "GRAPHIC" in kind.upper():
+        equatorial, polar = label.axes_m
+        raise DataError(
+            f"{path}: states latitudes as {kind}, on radii of {equatorial / 1e3:.10g} and "
+            f"{polar / 1e3:.10g} km; wanted planetocentric ones: reproject it, in ISIS by map2map "
+            "with LatitudeType = Planetocentric"
+        )
+    return label
+
+
+def _maps(name: str) -> list[str]:
+    return [f"{group}.{name}" for group in PDS3_MAPS]
+
+
+def _first(stated: Stated, *names: str) -> tuple[str, str]:
+    """Value and unit of the first keyword that is stated; empty for none."""
+    return next((stated[name] for name in names if name in stated), ("", ""))
+
+
+def _plain(text: str) -> str:
+    """A number as short as it can be written, other text without its quotes."""
+    try:
+        return f"{float(text):.10g}"
+    except ValueError:
+        return text.strip("'\" ")
+
+
+def _metadata(dataset: Any, domain: str) -> Any:
+    """The label as GDAL has it in JSON; rasterio cuts the text in two at its first colon."""
+    for start, end in dataset.tags(ns=domain).items():
+        try:
+            return json.loads(f"{start}:{end}")
+        except ValueError:
+            return {}
+    return {}
+
+
+def _flat(group: str, value: Any) -> Iterator[tuple[str, tuple[str, str]]]:
+    """Keywords by the group that they stand in; of repeated ones the last counts."""
+    if not isinstance(value, dict):
+        return
+    for name, inner in value.items():
+        if isinstance(inner, dict) and "value" in inner:
+            yield f"{group}.{name}", (str(inner["value"]).strip(), str(inner.get("unit", "")))
+        elif isinstance(inner, dict):
+            yield from _flat(name, inner)
+        elif isinstance(inner, str | int | float):
+            yield f"{group}.{name}", (str(inner).strip(), "")
+
+
+def _elements(path: Path) -> Stated:
+    """Elements of a PDS4 label by the one that holds them; the first of a name counts."""
+    raw = read_input(path, "label", "get it again", limit=MAX_LABEL)
+    if b"<!DOCTYPE" in raw or b"<!ENTITY" in raw:
+        raise DataError(f"{path}: declares XML of its own; wanted a plain PDS4 label")
+    try:
+        root = ElementTree.fromstring(raw)
+    except ElementTree.ParseError:
+        return {}  # GDAL has read it: only its georeference is left
+    stated: Stated = {}
+    for parent in root.iter():
+        for child in parent:
+            name = f"{parent.tag.rpartition('}')[2]}.{child.tag.rpartition('}')[2]}"
+            stated.setdefault(name, ((child.text or "").strip(), child.get("unit", "")))
+    return stated
+
+
+def _axes(stated: Stated) -> tuple[float, float]:
+    """Equatorial and polar radius, m; two of a unit sphere where they are not stated."""
+    pairs = (
+        ("Mapping.EquatorialRadius", "Mapping.PolarRadius", 1.0),
+        *((a, c, PDS3_KM) for a, c in zip(_maps("A_AXIS_RADIUS"), _maps("C_AXIS_RADIUS"))),
+        ("Geodetic_Model.a_axis_radius", "Geodetic_Model.c_axis_radius", PDS3_KM),
+        ("Geodetic_Model.semi_major_radius", "Geodetic_Model.polar_radius", PDS3_KM),
+    )
+    for first, last, unstated_m in pairs:
+        numbers = []
+        for name in (first, last):
+            text, unit = _first(stated, name)
+            try:
+                numbers.append(float(text) * _METRES.get(unit.strip("<> ").lower(), unstated_m))
+            except ValueError:
+                break
+        if len(numbers) == 2 and min(numbers) > 0.0:
+            return numbers[0], numbers[1]
+    return 1.0, 1.0
+
+
+def _special(path: Path, stated: Stated, dtype: str, dataset: Any) -> SpecialValues | None:
+    """Special values of the type, and those that the label names; None for those GDAL has."""
+    isis = ISIS[dtype] if dataset.driver == "ISIS3" and dtype in ISIS else SpecialValues()
+
+    def numbers(*names: str) -> list[float]:
+        return [
+            number
+            for name in names
+            for where in (f"IMAGE.{name}", f"Special_Constants.{name.lower()}")
+            if (number := _number(path, where, _first(stated, where)[0], dtype)) is not None
+        ]
+
+    missing = {*isis.missing, *numbers(*MISSING_KEYWORDS)}
+    saturated = {*isis.saturated, *numbers(*SATURATED_KEYWORDS)}
+    lowest, highest = numbers("VALID_MINIMUM"), numbers("VALID_MAXIMUM")
+    if missing <= {dataset.nodata} and not (saturated or lowest or highest):
+        return None
+    return SpecialValues(
+        tuple(sorted(missing)),
+        tuple(sorted(saturated)),
+        max(lowest, default=-np.inf),
+        min(highest, default=np.inf),
+    )
+
+
+def _number(path: Path, name: str, text: str, dtype: str) -> float | None:
+    """A stored value, of which labels also write the bits: 16#FF7FFFFB#, 0xFF7FFFFB.
+
+    Raises DataError for text that is neither a number nor says that there is none.
+    """
+    shown = text.strip("'\" ")
+    if shown.upper() in KEYWORDS["Mapping.Rotation"].allowed[1:]:
+        return None
+    based = _BASED.fullmatch(shown)
+    try:
+        if based is None:
+            return float(shown)
+        base, digits = (int(based[1]), based[2]) if based[1] else (16, based[4])
+        kind = np.dtype(dtype)
+        bits = int(digits, base).to_bytes(kind.itemsize, "little")
+        return float(np.frombuffer(bits, kind.newbyteorder("<"))[0])
+    except (ValueError, OverflowError):
+        raise DataError(
+            f"{path}: states {name} = {shown[:40]}; wanted a number of the type {dtype}: correct "
+            "the label"
+        ) from None
