@@ -36,13 +36,17 @@ _UTC_WORDS = ("", "z", "utc", "+00:00", "+0000", "+00", "-00:00")
 _EXAMPLE = "a UTC time such as 2023-08-17T05:23:10.250Z or, by day of year, 2023-229T05:23:10.250Z"
 
 
-def utc_to_tdb_s(utc: str) -> float:
+def utc_to_tdb_s(utc: str, name: str = "") -> float:
     """TDB seconds past J2000 of an ISO-8601 UTC time; a leap second is written 23:59:60.
 
     The date may be a day of year (2014-217T12:00:00), 24:00:00 is the end of a day, and Z may be
-    left out. Raises DataError for what is not a time, not a possible time, or not UTC.
+    left out. `name` is that of the column or setting, for messages. Raises DataError for what is
+    not a time, not a possible time, or not UTC.
     """
-    return _tdb_s(*_tai(utc))
+    try:
+        return _tdb_s(*_tai(utc))
+    except DataError as error:
+        raise DataError(f"{name}: {error}" if name else str(error)) from None
 
 
 def tdb_s_after(utc: str, seconds: ArrayLike) -> FloatArray:

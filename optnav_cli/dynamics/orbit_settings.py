@@ -50,7 +50,8 @@ class ThrustArc(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     @property
     def times_s(self) -> tuple[float, float]:
         """Start and end, TDB s."""
-        return utc_to_tdb_s(self.start_utc), utc_to_tdb_s(self.end_utc)
+        start = utc_to_tdb_s(self.start_utc, "start_utc")
+        return start, utc_to_tdb_s(self.end_utc, "end_utc")
 
     @property
     def covariance(self) -> FloatArray:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
-from catalog.bodies.epochs import tdb_s_after, utc_from_tdb_s, utc_to_tdb_s
+from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.bodies.kernels import KernelSet
 from catalog.config import load_toml
 from catalog.errors import ConfigError, DataError
@@ -27,6 +27,17 @@ from catalog.geometry.vectors import unit
 from optnav_cli.frames.archive_label import ArchiveLabel, LabelFormat
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.isis_cube import CubePose
+from optnav_cli.frames.label_geometry import (
+    AttitudeKeys,
+    TimeKeys,
+    VectorKeys,
+    axes_of,
+    check_keys,
+    is_vector_stated,
+    read_attitude,
+    read_time,
+    read_vector,
+)
 
 ATTITUDE_SIGMA_DEG = 0.5  # an axis
 POSITION_SIGMA_M = 1000.0  # a component
@@ -39,47 +50,7 @@ NO_LIGHT_TIME = (
 )
 Degrees = Annotated[float, msgspec.Meta(gt=0.0, le=180.0)]
 Sigma = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
-Scale = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
-Keys = tuple[str, ...]
 Nine = tuple[float, float, float, float, float, float, float, float, float]
-
-
-class TimeKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Keyword of the time: UTC as text, unix seconds, or seconds of a clock that began at a UTC.
-
-    exposure  keyword of the exposure time, half of which is added; exposure_s  its unit
-    """
-
-    utc: str = ""
-    unix: str = ""
-    clock: str = ""
-    clock_began_utc: str = ""
-    exposure: str = ""
-    exposure_s: Scale = 1.0
-
-
-class VectorKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Keywords of a vector: that of `keys` less that of `minus`, "-KEY" being negated.
-
-    unit_m  metres a unit;  axes  of the stars, of the body, or of the camera
-    """
-
-    keys: Keys
-    minus: Keys = ()
-    unit_m: Scale = 1000.0
-    axes: Literal["inertial", "body", "camera"] = "inertial"
-
-
-class AttitudeKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Keywords of the attitude, one of both.
-
-    quaternion  scalar first, of the rotation taking vectors of the stars' axes to the label's frame
-    boresight   its right ascension, its declination and the clock angle of celestial north, from
-                the picture's top clockwise, deg
-    """
-
-    quaternion: Keys = ()
-    boresight: Keys = ()
 
 
 class SpiceKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -152,14 +123,13 @@ def load_table(path: Path) -> ImportTable:
         raise ConfigError(f"{path}: camera_from_frame is no rotation; wanted right-handed axes")
     if table.format == "times" and table.spice is None:
         raise ConfigError(f'{path}: format "times" needs [spice] craft and frame')
-    counts = len(table.attitude.quaternion), len(table.attitude.boresight)
-    if table.format not in ("isis", "times") and counts not in ((4, 0), (1, 0), (0, 3), (0, 1)):
-        raise ConfigError(f"{path}: [attitude] wants 4 keys of a quaternion or 3 of a boresight")
-    stated = [key for key in (table.time.utc, table.time.unix, table.time.clock) if key]
-    if table.format not in ("isis", "times") and len(stated) != 1:
-        raise ConfigError(f"{path}: [time] wants one of utc, unix, clock")
+    if table.format not in ("isis", "times"):
+        check_keys(path, table.time, table.attitude, table.position, table.sun)
     if table.time.clock:
-        utc_to_tdb_s(table.time.clock_began_utc)
+        try:
+            utc_to_tdb_s(table.time.clock_began_utc, "[time] clock_began_utc")
+        except DataError as error:
+            raise ConfigError(f"{path}: {error}") from None
     return table
 
 
@@ -176,8 +146,8 @@ class FrameMaker:
     def of_label(self, label: ArchiveLabel, file: str) -> Frame:
         """The frame that a label describes. Raises DataError for what it does not state."""
         table = self.table
-        utc, tdb_s = _time(label, table.time)
-        camera_from_inertial = table.rotation * _attitude(label, table.attitude)
+        utc, tdb_s = read_time(label, table.time)
+        camera_from_inertial = table.rotation * read_attitude(label, table.attitude)
         body_from_inertial = Rotation.from_matrix(self.motion.body_from_inertial(tdb_s))
         camera_from_body = camera_from_inertial * body_from_inertial.inv()
         body_from = {
@@ -186,7 +156,9 @@ class FrameMaker:
             "camera": camera_from_body.inv(),
         }
         position, sun = (
-            None if keys is None else body_from[keys.axes].apply(_vector(label, keys))
+            None
+            if keys is None or not is_vector_stated(label, keys)
+            else body_from[axes_of(label, keys)].apply(read_vector(label, keys, self.motion.body))
             for keys in (table.position, table.sun)
         )
         return self._frame(label.path, file, (utc, tdb_s), camera_from_body, position, sun)
@@ -268,52 +240,3 @@ class FrameMaker:
                 f"{self.motion.body.name} at {utc_from_tdb_s(tdb_s, 0)}; name the body that it "
                 "shows (--body), or correct the table"
             )
-
-
-def _time(label: ArchiveLabel, keys: TimeKeys) -> tuple[str, float]:
-    """UTC and TDB s of the middle of the exposure."""
-    half = 0.0
-    if keys.exposure:
-        half = 0.5 * keys.exposure_s * float(label.numbers((keys.exposure,))[0])
-    if keys.utc:
-        began, seconds = label.text(keys.utc), half
-        began = began if began.upper().endswith("Z") else began + "Z"
-    elif keys.unix:
-        # which counts no leap seconds: whole days and what is left of the last one
-        since = float(label.numbers((keys.unix,))[0]) + half
-        day = np.datetime64("1970-01-01") + np.timedelta64(int(since // 86400.0), "D")
-        began, seconds = f"{day}T00:00:00Z", since % 86400.0
-    else:
-        began, seconds = keys.clock_began_utc, float(label.numbers((keys.clock,))[0]) + half
-    tdb_s = float(tdb_s_after(began, [seconds])[0])
-    return utc_from_tdb_s(tdb_s, 3), tdb_s
-
-
-def _vector(label: ArchiveLabel, keys: VectorKeys) -> FloatArray:
-    """A vector (3,), m, in the axes that its keys say."""
-    vector = label.numbers(keys.keys)
-    if keys.minus:
-        vector = vector - label.numbers(keys.minus)
-    if vector.shape != (3,):
-        raise DataError(f"{label.path}: {', '.join(keys.keys)} are {vector.size} numbers; wanted 3")
-    return vector * keys.unit_m
-
-
-def _attitude(label: ArchiveLabel, keys: AttitudeKeys) -> Rotation:
-    """The rotation from the stars' axes to the label's frame, or to the camera's."""
-    wanted = 4 if keys.quaternion else 3
-    numbers = label.numbers(keys.quaternion or keys.boresight)
-    if numbers.shape != (wanted,):
-        raise DataError(f"{label.path}: its attitude has {numbers.size} numbers; wanted {wanted}")
-    if keys.quaternion:
-        if not abs(float(np.linalg.norm(numbers)) - 1.0) < 0.01:
-            raise DataError(f"{label.path}: its quaternion has no length of 1")
-        return Rotation.from_quat(numbers, scalar_first=True)
-    ascension, declination, clock = np.radians(numbers)
-    axis = np.array([np.cos(declination) * np.cos(ascension),
-                     np.cos(declination) * np.sin(ascension), np.sin(declination)])  # fmt: skip
-    east = np.array([-np.sin(ascension), np.cos(ascension), 0.0])
-    north = np.cross(axis, east)
-    # north stands `clock` right of the top; east, seen from inside the sphere, a quarter left of it
-    up = np.cos(clock) * north + np.sin(clock) * east
-    return Rotation.from_matrix(np.array([np.cross(-up, axis), -up, axis]))

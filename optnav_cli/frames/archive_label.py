@@ -2,16 +2,15 @@
 
 FITS is read here, pixels and all, because the GDAL of the wheels has no driver for it (FITS
 standard 4.0, sections 4 and 5: cards of 80 letters in blocks of 2880 bytes, big-endian pixels).
-PDS3 labels are those of the PDS Standards Reference 3.8, chapter 12, in the part of it that
-archives use.
+PDS3 labels are read in odl.py, their units in label_units.py.
 """
 
 import configparser
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,10 @@ from numpy.typing import NDArray
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, check_input, read_input
+from catalog.keywords import MAX_SHOWN
+from optnav_cli.frames.label_units import EXAMPLES, Quantity, find_unit, unit_of_comment
+from optnav_cli.frames.odl import OdlError, Statement, read_statements
+from optnav_cli.frames.pds4_label import find_elements, read_elements
 
 LabelFormat = Literal["fits", "pds3", "pds4", "settings"]
 Values = dict[str, tuple[str, ...]]
@@ -26,70 +29,156 @@ Values = dict[str, tuple[str, ...]]
 MAX_BYTES = 256 * MEGABYTE  # of a FITS picture
 MAX_LABEL = MEGABYTE
 MAX_NUMBER = 1e18  # km of a far star
-MAX_DEPTH = 64  # of elements in elements
 _BLOCK, _CARD = 2880, 80
 _TYPES = {"8": "u1", "16": ">i2", "32": ">i4", "-32": ">f4", "-64": ">f8"}
-_END = re.compile(r"^END\s*$", re.M)
-_STATEMENT = re.compile(
-    r"^[ \t]*(\^?[\w:]+)[ \t]*=\s*"
-    r"(\"[^\"]{0,8000}\"|'[^']{0,8000}'|\([^)]{0,4000}\)|\{[^}]{0,4000}\}|[^\r\n]*)",
-    re.M,
+# Without these values stand for one that is missing (PDS Standards Reference 3.8, section 17.2).
+_NOT_STATED = ("", "-", "N/A", "NA", "UNK", "NULL", "NOT APPLICABLE", "NOT_APPLICABLE", "UNKNOWN")
+# An SFDU head goes before, or stands instead of, the version; NJPL is that of the first archives.
+_PDS3_HEAD = re.compile(
+    rb"\A\s*(CCSD|NJPL)\w{8,}|^\s*PDS_VERSION_ID\s*=\s*[\"']?PDS3|^ODL_VERSION_ID", re.M
 )
-_NOT_STATED = ("", "N/A", "UNK", "NULL", "NOT APPLICABLE", "UNKNOWN")
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([EeDd][+-]?[0-9]{1,3})?")
+_BASED = re.compile(r"([+-]?)([0-9]{1,2})#([+-]?)([0-9A-Za-z]{1,32})#")  # 16#FF# of PDS3
 
 
 @dataclass(frozen=True)
 class ArchiveLabel:
-    """What a label states: texts by keyword, those of a block as BLOCK.KEYWORD, too.
+    """Texts that a label states by keyword, those of a block as BLOCK.KEYWORD, too.
 
-    Of a PDS4 label keywords are the ends of paths of elements, as "Vector/x_position".
+    Of a PDS4 label keywords are the ends of paths of elements, as "Vector/x_position"; one of
+    several elements of a name is told by what it has in it, as "Vector[Frame/name=J2000]/x".
+
+    units    units of the values by keyword, as they are written; "" or no entry: none is stated
+    doubled  keywords that are stated twice, differently, where none goes before the other
     """
 
     path: Path
     values: Values
+    units: Values = field(default_factory=dict)
+    doubled: frozenset[str] = frozenset()
 
     def text(self, key: str) -> str:
-        """The one value of a keyword. Raises DataError where it is not stated."""
+        """The first value of a keyword. Raises DataError where it is not stated."""
         return self.texts(key)[0]
 
     def texts(self, key: str) -> tuple[str, ...]:
-        """The values of a keyword. Raises DataError where it is not stated."""
-        found = self.values.get(key, ())
-        if "/" in key:
-            paths = (name for name in self.values if f"/{name}".endswith(f"/{key}"))
-            found = self.values.get(next(paths, ""), ())
+        """The values of a keyword. Raises DataError where it is not stated, or stated twice."""
+        names = self._names(key)
+        values = {self.values[name]: name for name in names}
+        if len(values) > 1 or self.doubled.intersection(names):
+            shown = ", ".join(value[0] if value else "nothing" for value in values)
+            raise DataError(
+                f"{self.path}: its label states {key} several times ({shown[:MAX_SHOWN]}); name "
+                "the block that is meant in the table, as BLOCK.KEYWORD or A/B/keyword"
+            )
+        found = next(iter(values), ())
         if not found or any(value.upper() in _NOT_STATED for value in found):
             raise DataError(f"{self.path}: its label does not state {key}")
         return found
 
-    def numbers(self, keys: tuple[str, ...]) -> FloatArray:
-        """The numbers of some keywords, one after another; "-KEY" is its number negated.
+    def is_stated(self, key: str) -> bool:
+        """Whether a keyword has a value and none that stands for a missing one."""
+        values = [self.values[name] for name in self._names(key.removeprefix("-"))]
+        return any(
+            value and not any(text.upper() in _NOT_STATED for text in value) for value in values
+        )
 
-        Raises DataError where one is not stated, is no number or beyond all that labels hold.
+    def unit(self, key: str) -> tuple[str, ...]:
+        """The units of a keyword's values; none where it has none."""
+        return next((self.units[name] for name in self._names(key) if name in self.units), ())
+
+    def frame_keys(self, key: str) -> list[str]:
+        """The keywords by which a label names the frame of a keyword's numbers, nearest first.
+
+        PDS3 names one beside the keyword, PDS4 one in an element that holds the keyword's.
         """
+        if "/" not in key:
+            return [name for name in ("COORDINATE_SYSTEM_NAME",) if name in self.values]
         found = []
+        for name in self._names(key)[:1]:
+            base = name
+            while base := base.rpartition("/")[0]:
+                ends = ("Reference_Frame_Identification/name",
+                        "Coordinate_System_Identification/coordinate_system_name")  # fmt: skip
+                found += [f"{base}/{end}" for end in ends if f"{base}/{end}" in self.values]
+        return found
+
+    def _names(self, key: str) -> list[str]:
+        if "/" not in key:
+            return [key] if key in self.values else []
+        return find_elements(self.values, key)
+
+    def numbers(
+        self, keys: Sequence[str], quantity: Quantity = "number", default: float = 1.0
+    ) -> FloatArray:
+        """Numbers of keywords in m, rad, s or 1, one after another; "-KEY" is its number negated.
+
+        quantity  of which stated units have to be;  default  size of a unit where none is stated
+        Raises DataError for a keyword that is not stated or no number, is beyond all that labels
+        hold, or has a unit of another quantity.
+        """
+        found: list[float] = []
         for key in keys:
             name = key.removeprefix("-")
-            try:
-                numbers = [float(text) for text in self.texts(name)]
-            except ValueError:
-                raise DataError(
-                    f"{self.path}: {name} is '{self.values[name][0][:40]}'; wanted a number"
-                ) from None
-            found += [-number for number in numbers] if key != name else numbers
-        if not (np.abs(found) < MAX_NUMBER).all():
-            raise DataError(f"{self.path}: {', '.join(keys)} are not numbers below {MAX_NUMBER:g}")
+            sign = -1.0 if key != name else 1.0
+            texts = self.texts(name)
+            units = self.unit(name) or ("",) * len(texts)
+            for text, unit in zip(texts, units, strict=True):
+                value = read_number(text)
+                if value is None:
+                    raise DataError(f"{self.path}: {name} is '{text[:40]}'; wanted a number")
+                if not abs(value) < MAX_NUMBER:
+                    raise DataError(
+                        f"{self.path}: {name} is {text[:40]}, no number below {MAX_NUMBER:g}"
+                    )
+                found.append(sign * value * self._size(name, text, unit, quantity, default))
         return np.array(found)
+
+    def _size(self, key: str, text: str, unit: str, quantity: Quantity, default: float) -> float:
+        stated = find_unit(unit)
+        if stated is not None and stated[0] == "number":
+            return default
+        if stated is None or stated[0] != quantity:
+            of = f"a unit of {stated[0]}" if stated else "no unit that is known"
+            remedy = (
+                "leave the unit out"
+                if quantity == "number"
+                else "convert the value, or leave the unit out and state it in the table"
+            )
+            raise DataError(
+                f"{self.path}: {key} = {text[:MAX_SHOWN]} <{unit[:MAX_SHOWN]}>, which is {of}; "
+                f"wanted {EXAMPLES[quantity]}: {remedy}"
+            )
+        return stated[1]
+
+
+def read_number(text: str) -> float | None:
+    """A number as PDS3, PDS4 and FITS write them, with D for E and 16#FF# too; None for none."""
+    if _NUMBER.fullmatch(text):
+        return float(text.upper().replace("D", "E"))
+    based = _BASED.fullmatch(text)
+    if based is None or not 2 <= int(based[2]) <= 16:
+        return None
+    try:
+        value = float(int(based[4], int(based[2])))
+    except ValueError:  # a digit that the base does not have
+        return None
+    return -value if "-" in (based[1], based[3]) else value
 
 
 def read_label(path: Path, kind: LabelFormat) -> ArchiveLabel:
     """Read the label of a picture. Raises DataError for a file that is no label of its kind."""
     raw = _head(path, MAX_LABEL)
     if kind == "fits":
-        return ArchiveLabel(path, _fits_cards(path, raw))
-    head = raw.decode("latin-1" if kind == "pds3" else "utf-8-sig", "replace")
-    read = {"pds3": _pds3_values, "pds4": _pds4_values, "settings": _settings_values}[kind]
-    return ArchiveLabel(path, read(path, head))
+        return _fits_label(path, raw)
+    if kind == "pds3":
+        return _pds3_label(path, raw.decode("latin-1"))
+    text = raw.decode("utf-8-sig", "replace")
+    if kind == "settings":
+        return ArchiveLabel(path, _settings_values(path, text))
+    elements = list(read_elements(path, text))
+    values: Values = {name: (value,) for name, value, _ in elements}
+    return ArchiveLabel(path, values, {name: (unit,) for name, _, unit in elements if unit})
 
 
 def format_of(path: Path) -> LabelFormat | None:
@@ -97,9 +186,9 @@ def format_of(path: Path) -> LabelFormat | None:
     head = _head(path, 4096)
     if head.startswith(b"SIMPLE  ="):
         return "fits"
-    if re.search(rb"^\s*(CCSD\S*\s+)?PDS_VERSION_ID\s*=\s*\"?PDS3|^ODL_VERSION_ID", head, re.M):
+    if _PDS3_HEAD.search(head):
         return "pds3"
-    if b"<Product_Observational" in head:
+    if re.search(rb"<(\w+:)?Product_Observational", head):
         return "pds4"
     return "settings" if re.match(rb"\s*\[[\w ]+\]\s", head) else None
 
@@ -149,66 +238,53 @@ def _header_bytes(path: Path, raw: bytes) -> int:
     raise DataError(f"{path}: its FITS header has no end; get the file again")
 
 
-def _fits_cards(path: Path, raw: bytes) -> Values:
+def _fits_label(path: Path, raw: bytes) -> ArchiveLabel:
     values: Values = {}
+    units: Values = {}
+    doubled: set[str] = set()
     if not raw.startswith(b"SIMPLE  ="):
         raise DataError(f"{path}: is no FITS file")
     for start in range(0, _header_bytes(path, raw), _CARD):
         card = raw[start : start + _CARD].decode("latin-1")
         if card[8:10] != "= ":
             continue
-        text = card[10:].strip()
+        key, text = card[:8].strip(), card[10:].strip()
         quoted = re.match(r"'((?:[^']|'')*)'", text)
-        text = quoted[1].replace("''", "'") if quoted else text.partition("/")[0]
-        values.setdefault(card[:8].strip(), (text.strip(),))
-    return values
-
-
-def _pds3_values(path: Path, text: str) -> Values:
-    first, *rest = _END.split(text, maxsplit=1)[0].split("/*")
-    text = first + "".join(" " + part.partition("*/")[2] for part in rest)
-    values: Values = {}
-    blocks: list[str] = []
-    for key, value in _STATEMENT.findall(text):
-        key, value = key.upper(), value.strip()
-        if key in ("OBJECT", "GROUP"):
-            blocks.append(value)
-        elif key in ("END_OBJECT", "END_GROUP"):
-            blocks = blocks[:-1]
+        if quoted:
+            value, comment = quoted[1].replace("''", "'"), text[quoted.end() :].partition("/")[2]
         else:
-            parts = value[1:-1].split(",") if value[:1] in ("(", "{") else [value]
-            texts = tuple(map(_plain, parts))
-            values.setdefault(key, texts)
-            values.setdefault(".".join([*blocks, key]), texts)
-    if not values:
-        raise DataError(f"{path}: is no PDS3 label")
-    return values
+            value, _, comment = text.partition("/")
+        texts = (value.strip(),)
+        if values.setdefault(key, texts) != texts:
+            doubled.add(key)
+        elif unit := unit_of_comment(comment):
+            units.setdefault(key, (unit,))
+    return ArchiveLabel(path, values, units, frozenset(doubled))
 
 
-def _plain(text: str) -> str:
-    """A value without its quotes and its unit."""
-    text = re.sub(r"<[^>]*>\s*$", "", text.strip()).strip()
-    return " ".join(text.strip("\"'").split())
-
-
-def _pds4_values(path: Path, text: str) -> Values:
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise DataError(f"{path}: is no plain PDS4 label")
-    try:
-        root = ElementTree.fromstring(text.encode("utf-8"))
-    except ElementTree.ParseError as error:
-        raise DataError(f"{path}: is a damaged PDS4 label ({error})") from None
+def _pds3_label(path: Path, text: str) -> ArchiveLabel:
+    """A label of statements: a keyword by itself is that of the outermost block that has it."""
     values: Values = {}
-    waiting = [(root, "")]
-    while waiting:
-        element, above = waiting.pop(0)
-        name = f"{above}/{element.tag.rpartition('}')[2]}".strip("/")
-        if name.count("/") > MAX_DEPTH:
-            raise DataError(f"{path}: is no PDS4 label: elements in elements, too deep")
-        if len(element) == 0:
-            values.setdefault(name, ((element.text or "").strip(),))
-        waiting += [(child, name) for child in element]
-    return values
+    units: Values = {}
+    doubled: set[str] = set()
+    try:
+        statements = read_statements(text)
+    except OdlError as error:
+        raise DataError(f"{path}: is a damaged PDS3 label: {error}") from None
+    if not statements:
+        raise DataError(f"{path}: is no PDS3 label")
+    depths: dict[str, int] = {}
+    for blocks, key, texts, stated in sorted(statements, key=_depth):
+        for name in {key, ".".join((*blocks, key))}:
+            if depths.setdefault(name, len(blocks)) == len(blocks) and name in values:
+                doubled |= {name} if values[name] != texts else set()
+            elif name not in values:
+                values[name], units[name] = texts, stated
+    return ArchiveLabel(path, values, units, frozenset(doubled))
+
+
+def _depth(statement: Statement) -> int:
+    return len(statement.blocks)
 
 
 def _settings_values(path: Path, text: str) -> Values:

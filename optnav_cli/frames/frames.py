@@ -108,7 +108,7 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: Mapping[str, Camera]) -
             near = nearest_name(camera, known)
             hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
             raise DataError(f"camera '{camera}' has no file in cameras/; {hint}")
-        tdb_s = utc_to_tdb_s(utc)
+        tdb_s = utc_to_tdb_s(utc, "utc")
         position, position_sigma = _position(row, attitude)
         sigma = _sigma(row, "attitude_sigma_arcsec", MIN_ATTITUDE_ARCSEC, MAX_ATTITUDE_ARCSEC)
         common = float(np.hypot(attitude.sigma_rad(tdb_s), cameras[camera].boresight_sigma_rad))

@@ -66,7 +66,7 @@ def _truth(row: CsvRow, attitude: FileAttitude) -> Truth:
         raise DataError("a position or quaternion is empty; fill it in")
     if np.abs(position).max() > MAX_DISTANCE_M:
         raise DataError(f"the position lies more than {MAX_DISTANCE_M:g} m from the body")
-    tdb_s = utc_to_tdb_s(row["utc"])
+    tdb_s = utc_to_tdb_s(row["utc"], "utc")
     camera_from_body = attitude.read(rotation_from_quaternion(*quaternion), tdb_s)
     place = attitude.places.catalog(position)
     return Truth(row["file"], row["utc"], tdb_s, place, camera_from_body)

@@ -140,9 +140,9 @@ def load_delivery_settings(path: Path) -> DeliverySettings:
     settings = load_toml(named_config(path, FOLDER), DeliverySettings)
     section = settings.delivery
     try:
-        utc_to_tdb_s(section.start)
+        utc_to_tdb_s(section.start, "[delivery] start")
         if settings.aim is not None:
-            utc_to_tdb_s(settings.aim.pericentre)
+            utc_to_tdb_s(settings.aim.pericentre, "[aim] pericentre")
     except DataError as error:
         raise ConfigError(f"{path}: {error}") from None
     days = section.corrections_days

@@ -159,7 +159,7 @@ def read_orbit(folder: Path) -> StoredOrbit:
     ):
         raise DataError(f"{folder / ORBIT_TOML}: [state] lacks numbers; fit the orbit again")
     try:
-        tdb_s = utc_to_tdb_s(state.utc)
+        tdb_s = utc_to_tdb_s(state.utc, "utc")
     except DataError as error:
         raise DataError(f"{folder / ORBIT_TOML}: [state] {error}; fit the orbit again") from None
     if not abs(tdb_s - state.tdb_s) < SAME_TIME_S:
@@ -215,7 +215,7 @@ def _row(row: CsvRow) -> tuple[float, Kind, FloatArray, FloatArray]:
         raise DataError(NO_COVARIANCE)
     turn = rnb_turn(state)
     covariance = turn.T @ stated @ turn
-    return utc_to_tdb_s(row["utc"]), kinds[row["kind"]], state, covariance
+    return utc_to_tdb_s(row["utc"], "utc"), kinds[row["kind"]], state, covariance
 
 
 def _can_be(covariance: FloatArray) -> bool:

@@ -119,7 +119,7 @@ def load_landing_settings(path: Path) -> LandingSettings:
     settings = load_toml(named_config(path, FOLDER), LandingSettings)
     section, departure = settings.landing, settings.departure
     try:
-        utc_to_tdb_s(section.time)
+        utc_to_tdb_s(section.time, "time")
     except DataError as error:
         raise ConfigError(f"{path}: [landing] {error}") from None
     late = [s for s in section.corrections_s if s >= section.transfer_s]

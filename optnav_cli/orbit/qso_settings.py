@@ -77,7 +77,7 @@ def load_qso_settings(path: Path) -> QsoSettings:
         )
     for time in times_of(settings.qso):
         try:
-            utc_to_tdb_s(time)
+            utc_to_tdb_s(time, "time")
         except DataError as error:
             raise ConfigError(f"{path}: [qso] {error}") from None
     return settings

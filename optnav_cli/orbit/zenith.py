@@ -180,4 +180,4 @@ def _numbers(row: CsvRow) -> tuple[float, FloatArray, float, float]:
             "little; wanted 0.1 to 179.9"
         )
     direction = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-    return utc_to_tdb_s(row["utc"]), direction, float(value), found[3] * ARCSEC
+    return utc_to_tdb_s(row["utc"], "utc"), direction, float(value), found[3] * ARCSEC

@@ -15,6 +15,7 @@ from rasterio.errors import NotGeoreferencedWarning
 
 from catalog.bodies.body import is_body_file, load_body
 from catalog.bodies.ephemeris import Ephemeris, motion_of
+from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.kernels import KernelSet
 from catalog.config import nearest_name, resource
 from catalog.errors import ConfigError, DataError, UsageError
@@ -28,6 +29,8 @@ from optnav_cli.frames.archive_label import ArchiveLabel, fits_picture, format_o
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.isis_cube import Label, read_cube_label, read_cube_pose
+from optnav_cli.frames.label_geometry import VectorKeys, unstated_keys
+from optnav_cli.frames.pds3_picture import read_pds3_pixels
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.frames.tables import TIMES
 from optnav_cli.output.manifest import hash_files, write_manifest
@@ -63,7 +66,7 @@ class _Source:
 
     kind   a format of import tables
     label  of FITS and PDS;  cube  the label of an ISIS cube;  utc  of a row in a list of times
-    file   the name of the picture, of a row
+    file   the name of the picture, of a row;  where  "FILE, line N" of it
     """
 
     path: Path
@@ -72,6 +75,7 @@ class _Source:
     cube: Label | None = None
     utc: str = ""
     file: str = ""
+    where: str = ""
 
     def text(self, key: str) -> str:
         """What a label states for a keyword, or nothing."""
@@ -177,25 +181,30 @@ class _Importer:
         elif source.cube is not None:
             frame = maker.of_cube(source.path, read_cube_pose(source.path), file)
         else:
+            _check_row_time(source)
             frame = maker.of_time(source.path, file, source.utc)
         without = _put_picture(source, picture, camera, self._place / file)
         self._cameras[camera.name] = camera
         self._frames[file] = frame
-        self._note(table, frame, camera)
+        self._note(table, frame, camera, source.label)
         self._notes |= maker.notes
         if without:
             self._notes[f"{file}: {without} pixels have no value and are 0"] = None
 
-    def _note(self, table: ImportTable, frame: Frame, camera: Camera) -> None:
+    def _note(
+        self, table: ImportTable, frame: Frame, camera: Camera, label: ArchiveLabel | None
+    ) -> None:
         notes = list(table.unknown)
         if defaults := table.missing_sigmas():
             notes.append(f"1-sigma errors are defaults: {', '.join(defaults)}")
         if frame.attitude_sigma_rad is None:
             notes.append("attitudes are first guesses: they are free (attitude_sigma_arcsec empty)")
         if frame.sun_body is None:
-            notes.append("no Sun in the labels: it is computed from the time")
+            missing = _missing_keys(label, table.sun)
+            notes.append(f"no Sun in the labels{missing}: it is computed from the time")
         if frame.position_m is None:
-            notes.append("no position in the labels: frames are solved without a prior")
+            missing = _missing_keys(label, table.position)
+            notes.append(f"no position in the labels{missing}: frames are solved without a prior")
         if camera.psf_sigma_px is None:
             notes.append(f"no blur of camera {camera.name} (psf_sigma_px)")
         self._notes |= dict.fromkeys(notes)
@@ -214,7 +223,8 @@ class _Importer:
                     raise ConfigError(f"no import table '{name}' ships with optnav; {hint}")
                 path = shipped[known.index(name)]
             return path, self._read_table(path)
-        for path in shipped:
+        # a mission's table goes before those that any label of a format fits
+        for path in sorted(shipped, key=self._generality):
             table = self._read_table(path)
             stated = {key: source.text(key).upper() for key in table.match}
             if table.format == source.kind and all(
@@ -225,6 +235,9 @@ class _Importer:
             f"{source.path}: no import table that ships is for its instrument; write one "
             "(configs/imports has examples) and name it with --table"
         )
+
+    def _generality(self, path: Path) -> tuple[int, str]:
+        return -sum(map(bool, self._read_table(path).match.values())), path.name
 
     def _read_table(self, path: Path) -> ImportTable:
         if path not in self._tables:
@@ -268,11 +281,19 @@ class _Importer:
         return Imported(frames, [f"{output}: {count} of {self._body[1].body.name}", *remarks])
 
 
+def _missing_keys(label: ArchiveLabel | None, keys: VectorKeys | None) -> str:
+    """Words for the keywords of a vector that a label leaves out."""
+    missing = unstated_keys(label, keys) if label is not None and keys is not None else []
+    if not missing:
+        return ""
+    return f" ({', '.join(missing)} {'is' if len(missing) == 1 else 'are'} not stated)"
+
+
 def _sources(path: Path) -> Iterator[_Source]:
     """What a file describes: one picture, or those of a list of times. Raises DataError."""
     if path.suffix.lower() == ".csv":
         for row in TIMES.rows(path):
-            yield _Source(path, "times", utc=row["utc"], file=row["file"])
+            yield _Source(path, "times", utc=row["utc"], file=row["file"], where=row.where)
         return
     kind = format_of(path)
     if kind is not None:
@@ -286,6 +307,14 @@ def _sources(path: Path) -> Iterator[_Source]:
             "file, a list of settings, or a .csv with the times of pictures"
         ) from None
     yield _Source(path, "isis", cube=cube)
+
+
+def _check_row_time(source: _Source) -> None:
+    """Refuse a time of a list that is none, by its line and column. Raises DataError."""
+    try:
+        utc_to_tdb_s(source.utc, "utc")
+    except DataError as error:
+        raise DataError(f"{source.where}: {error}") from None
 
 
 def _camera(name: str, beside: Path, source: _Source) -> Camera:
@@ -348,7 +377,7 @@ def _put_picture(source: _Source, picture: Path, camera: Camera, place: Path) ->
     if label is not None and source.kind == "fits" and picture == label.path:
         values: NDArray[np.generic] = fits_picture(label)
     else:
-        values = _raster(picture)
+        values = _archive_raster(source, picture)
     _check_size(picture, camera, *values.shape)
     with np.errstate(invalid="ignore"):  # of what is no number
         numbers = values.astype(np.float64)
@@ -368,6 +397,16 @@ def _put_picture(source: _Source, picture: Path, camera: Camera, place: Path) ->
     ):
         to.write(numbers.astype(kind), 1)
     return int(bad.sum())
+
+
+def _archive_raster(source: _Source, picture: Path) -> NDArray[np.generic]:
+    """The picture of a label or a file, by GDAL; of a PDS3 label that GDAL cannot read, by ours."""
+    try:
+        return _raster(picture)
+    except DataError:
+        if source.label is None or source.kind != "pds3" or picture != source.path:
+            raise
+    return read_pds3_pixels(source.label)
 
 
 def _raster(path: Path, *, shape_only: bool = False) -> NDArray[np.generic]:

@@ -44,7 +44,7 @@ def predict_orbit(
     path meets the body before the first of them.
     """
     path = OrbitPath(read_orbit(folder))
-    to_s = utc_to_tdb_s(to_utc)
+    to_s = utc_to_tdb_s(to_utc, "--to")
     if path.first_s <= to_s <= path.last_s:
         ends = " to ".join(utc_from_tdb_s(t, 0) for t in (path.first_s, path.last_s))
         raise UsageError(

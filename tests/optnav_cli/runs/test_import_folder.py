@@ -321,7 +321,7 @@ def test_a_file_that_cannot_be_used_is_left_out_with_the_reason(tmp_path: Path) 
             "c.lbl: the Sun of its label is .* deg from that of the body moon",
             "d.lbl: its label does not state RIGHT_ASCENSION",
             "SC_TARGET_POSITION_VECTOR are 2 numbers; wanted 3",
-            "time 'yesterdayZ' is not understood",
+            "time 'yesterday' is not understood",
             "g.lbl",
             "plain.txt: no label with a geometry in it",
             "none.lbl: there is no such file",
@@ -425,3 +425,61 @@ def test_the_shipped_cameras_see_what_their_sources_say() -> None:
     assert np.degrees(np.arccos(edges[0] @ edges[1])) == pytest.approx(2.93, abs=0.02)
     assert np.degrees(np.arccos(edges[2] @ edges[3])) == pytest.approx(2.25, abs=0.02)
     assert np.degrees(512.0 / rosetta.focal_length_px) == pytest.approx(5.0, abs=0.02)
+
+
+def test_the_unit_of_a_label_changes_its_numbers_alone(tmp_path: Path) -> None:
+    path = made_pds3(tmp_path)
+    frame = import_folder([path], tmp_path / "km", options_of(path)).frames[0]
+    text = re.sub(
+        r"(SC_\w+ = \()(.*)\)",
+        lambda m: m[1] + ", ".join(f"{1e3 * float(x)!r} <m>" for x in m[2].split(",")) + ")",
+        path.read_text(),
+    )
+    text = text.replace("DECLINATION = 40.0", f"DECLINATION = {float(np.radians(40.0))!r} <rad>")
+    path.write_text(text.replace("T12:00:00.000", "T12:00:00").replace("2004-05-01", "2004-122"))
+    again = import_folder([path], tmp_path / "m", options_of(path)).frames[0]
+    assert again.utc == frame.utc
+    np.testing.assert_allclose(again.position_m, frame.position_m, rtol=1e-12)  # type: ignore[arg-type]
+    np.testing.assert_allclose(again.sun_body, frame.sun_body, rtol=1e-12)  # type: ignore[arg-type]
+    assert frame.camera_from_body is not None
+    assert again.camera_from_body is not None
+    assert (again.camera_from_body * frame.camera_from_body.inv()).magnitude() < 1e-12
+
+
+def test_a_label_without_a_position_gives_a_row_without_a_prior(tmp_path: Path) -> None:
+    path = made_pds3(tmp_path, SC_TARGET_POSITION_VECTOR='("N/A", "N/A", "N/A")')
+    imported = import_folder([path], tmp_path / "out", options_of(path))
+    frame = read_folder(tmp_path / "out").frames[0]
+    assert (frame.problem, frame.position_m) == (None, None)
+    # the Sun's vector is that of the craft less the target's: neither is known
+    assert frame.sun_body is not None
+    moon = AnalyticEphemeris(load_body("moon"))
+    np.testing.assert_allclose(frame.sun_body, moon.sun_body(utc_to_tdb_s(UTC)), atol=1e-9)
+    assert sum("SC_TARGET_POSITION_VECTOR is not stated" in r for r in imported.remarks) == 2
+
+
+def test_a_label_that_gdal_does_not_open_is_read_by_its_image_object(tmp_path: Path) -> None:
+    """With an empty keyword, a pointer by bytes in other letters, prefixes, a missing constant."""
+    path = made_pds3(tmp_path, MISSION_PHASE_NAME="", **{"^IMAGE": '("A.IMG", 5 <BYTES>)'})
+    text = path.read_text().replace("END_OBJECT", "LINE_PREFIX_BYTES = 2\nMISSING = 13\nEND_OBJECT")
+    path.write_text(text)
+    rows = np.hstack([np.full((4, 2), 99), np.arange(10, 34).reshape(4, 6)]).astype(np.uint8)
+    (tmp_path / "a.img").write_bytes(b"head" + rows.tobytes())
+    import_folder([path], tmp_path / "out", options_of(path))
+    values = load_picture(tmp_path / "out/a.tif", load_camera(tmp_path / "made.toml")).values
+    line = np.polyfit(np.r_[14:34], values.ravel()[4:], 1)  # real numbers become 16 bits linearly
+    np.testing.assert_allclose(values.ravel()[4:], np.polyval(line, np.r_[14:34]), atol=0.6)
+    assert values.ravel()[3] == 0.0
+    (tmp_path / "a.img").write_bytes(rows.tobytes()[:-5])
+    with pytest.raises(DataError, match=r"a\.img: is cut short"):
+        import_folder([path], tmp_path / "short", options_of(path))
+
+
+def test_a_row_of_a_list_of_times_is_named_by_its_line(kernels: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "times.csv").write_text("file,utc\na.png,2004-05-01\n")
+    (tmp_path / "t.toml").write_text(
+        'format = "times"\nbody = "moon"\ncamera = "unk"\n[spice]\ncraft = 399\nframe = "J2000"\n'
+    )
+    options = ImportOptions(table=str(tmp_path / "t.toml"), kernels=tuple(kernels))
+    with pytest.raises(DataError, match=r"times\.csv, line 2: utc: time '2004-05-01' is not"):
+        import_folder([tmp_path / "times.csv"], tmp_path / "out", options)
