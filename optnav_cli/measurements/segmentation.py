@@ -5,7 +5,7 @@ lit ground's level, so that a faint cusp still belongs to the body and stray lig
 """
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -28,6 +28,8 @@ MIN_CONTRAST_SIGMAS = 12.0
 ROUNDING_VARIANCE = 1.0 / 12.0
 STEP = 2  # between the pixels that levels are measured from
 HALO_PX = 6  # about a lit area its blur still shines
+MAX_SMALL_SHARE = 0.1  # of the largest lit area: a smaller one is no second body
+MAX_SMALL_AREAS = 500  # that are taken out, the largest first
 MADE = 8  # things held that readers made of one picture
 # Stripes: seen in strips so wide at two opposite edges, whose correlation must be so high; smeared
 # pictures of 67P have 0.99.
@@ -86,20 +88,51 @@ class Segmented:
     NaN stands for pixels without a value, which are neither lit nor sky.
     """
 
-    def __init__(self, picture: Float32Array) -> None:
+    def __init__(self, picture: Float32Array, levels: Levels | None = None) -> None:
+        self._stated_levels = levels
         self.picture = np.ascontiguousarray(picture, dtype=np.float32)
         # what a reader makes of the picture, by its own key
         self.made: Cache[Hashable, Any] = Cache(MADE)
 
     @cached_property
     def levels(self) -> Levels:
-        """See `measure_levels`, also for what it raises."""
-        return measure_levels(self.picture)
+        """The stated levels, else see `measure_levels`, also for what it raises."""
+        return self._stated_levels or measure_levels(self.picture)
 
     @cached_property
     def blobs(self) -> Blobs:
         """The areas above the levels' threshold."""
         return lit_blobs(self.picture, self.levels.threshold)
+
+    def raised(self, share: float) -> "Segmented":
+        """The picture with a threshold no lower than a share of the way to the lit ground."""
+
+        def make() -> Segmented:
+            levels = self.levels
+            least = levels.sky + share * (levels.bright - levels.sky)
+            higher = replace(levels, threshold=max(levels.threshold, least))
+            return Segmented(self.picture, higher)
+
+        made: Segmented = self.made.get(("raised", share), make)
+        return made
+
+    def largest_alone(self, least_pixels: int) -> "Segmented | None":
+        """The picture without its small lit areas of so many pixels and more.
+
+        Many small ones are burnt-in text, or stars. None where there is none, or where the second
+        is so large that it may be another body.
+        """
+        blobs = self.blobs
+        small = blobs.label[1:][blobs.area[1:] >= least_pixels][:MAX_SMALL_AREAS]
+        if small.size == 0 or blobs.area[1] > MAX_SMALL_SHARE * blobs.area[0]:
+            return None
+
+        def make() -> Segmented:
+            values = without_blobs(self.picture, blobs, small.tolist(), self.levels.sky)
+            return Segmented(values, self.levels)
+
+        made: Segmented = self.made.get("largest alone", make)
+        return made
 
 
 def measure_levels(picture: Float32Array) -> Levels:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import perpendicular_basis, unit
 from optnav_cli.camera.camera import Camera
@@ -152,8 +152,7 @@ def check_others(
 
     where  the candidates' rays in the cone's space
     """
-    pixel = np.linalg.norm(where.by_x, axis=1)
-    beyond = cone.depth(where.rays) < -(10.0 * pixel + relief * np.tan(cone.angle))
+    beyond = _is_beyond(cone, where, relief)
     outside = candidates.subset(beyond)
     if len(outside) >= 30:
         _check_second(camera, outside, where.subset(beyond), cone, relief)
@@ -169,6 +168,17 @@ def check_others(
             f"pixels outside and {n_in * GRID_PX**2} inside; structure in view, or only ground",
             ReasonCode.NO_LIMB,
         )
+
+
+def count_beyond(cone: Cone, where: PixelRays, relief: float) -> int:
+    """Number of candidates, with their rays in the cone's space, that lie outside of the limb."""
+    return int(_is_beyond(cone, where, relief).sum())
+
+
+def _is_beyond(cone: Cone, where: PixelRays, relief: float) -> BoolArray:
+    pixel = np.linalg.norm(where.by_x, axis=1)
+    beyond: BoolArray = cone.depth(where.rays) < -(10.0 * pixel + relief * np.tan(cone.angle))
+    return beyond
 
 
 def _check_second(

@@ -6,6 +6,7 @@ cone is found by consensus, so that rods and craters do not bend it, and the edg
 the pixel by a model of the blurred limb.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.disc.fit import MAX_BENT_LIMB_PX, edge_bias_px
 from optnav_cli.measurements.limb import checks
 from optnav_cli.measurements.limb.candidates import (
+    MIN_BLOB_PIXELS,
     Candidates,
     bounded_by_sky,
     find_candidates,
@@ -42,6 +44,12 @@ RELIEF = 0.002  # of the body's radius: what the limb stands off a smooth one
 # What the edge model may leave on all points, px: limbs of a known skyline show 0.011-0.017 from
 # 50 to 200 km.
 COMMON_SIGMA_PX = 0.015
+# Refusals that other light than the body's may cause; thresholds that are tried then, as shares of
+# the way from the sky to the lit ground's level. Enceladus' plumes reach 0.25 of it, 20 px from the
+# limb.
+OTHER_LIGHT_CODES = (ReasonCode.NO_LIMB, ReasonCode.COVERED_LIMB, ReasonCode.SHORT_ARC)
+RAISED_SHARES = (0.16, 0.32)
+MAX_STRAY_EDGES = 0.1  # edges beyond the limb, at the lower threshold, over the limb's points
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,14 +106,59 @@ def find_limb(
     Raises NoSolutionError, with what the picture shows instead, when there is no lit limb to use.
     """
     areas = lit or Segmented(picture)
-    picture = areas.picture
     full = np.inf if saturation is None else saturation
     space = _space(stretch)
+    try:
+        return _limb_of(areas, camera, sun_camera, full, space, relief)[0]
+    except NoSolutionError as error:
+        if error.code not in OTHER_LIGHT_CODES:
+            raise
+        limb = _limb_beside_other_light(areas, camera, sun_camera, full, space, relief)
+        if limb is None:
+            raise
+        return limb
+
+
+def _limb_beside_other_light(
+    areas: Segmented,
+    camera: Camera,
+    sun_camera: FloatArray | None,
+    saturation: float,
+    space: FloatArray,
+    relief: float,
+) -> LimbPoints | None:
+    """The limb without the light that is not the body's; None where there is none either.
+
+    Plumes, haze and halos have no edges of their own, which tells them from structure and from
+    other ground. Burnt-in text and stars are small.
+    """
+    _, where = _edges(areas, camera, space)
+    for share in RAISED_SHARES:
+        with suppress(NoSolutionError):
+            brighter = areas.raised(share)
+            limb, cone = _limb_of(brighter, camera, sun_camera, saturation, space, relief)
+            if checks.count_beyond(cone, where, relief) <= MAX_STRAY_EDGES * len(limb):
+                return limb
+    alone = areas.largest_alone(MIN_BLOB_PIXELS)
+    if alone is not None:
+        with suppress(NoSolutionError):
+            return _limb_of(alone, camera, sun_camera, saturation, space, relief)[0]
+    return None
+
+
+def _limb_of(
+    areas: Segmented,
+    camera: Camera,
+    sun_camera: FloatArray | None,
+    full: float,
+    space: FloatArray,
+    relief: float,
+) -> tuple[LimbPoints, Cone]:
+    """The limb of a picture's lit areas, as `find_limb`, and the cone that fits it."""
+    picture = areas.picture
     levels, blobs = areas.levels, areas.blobs
     checks.check_blobs(picture, blobs, levels, full)
-    candidates, everywhere = areas.made.get(
-        ("edges", camera, space.tobytes()), lambda: _edges(areas, camera, space)
-    )
+    candidates, everywhere = _edges(areas, camera, space)
     cone, kept = _first_cone(
         picture, camera, candidates, everywhere, levels.threshold, sun_camera, relief, space
     )
@@ -142,7 +195,7 @@ def find_limb(
     cone = fit_cone(where, np.ones(len(pixels), dtype=bool), cone) or cone
     _, inward = distances(cone, where)
     order = np.argsort(checks.azimuths(cone, where.rays), kind="stable")
-    return LimbPoints(
+    limb_points = LimbPoints(
         pixels=pixels[order],
         sigma_px=sigma[order],
         inward=inward[order],
@@ -154,6 +207,7 @@ def find_limb(
         lit_pixels=int(blobs.area[0]),
         cut_by_frame=blobs.reaches_border(0),
     )
+    return limb_points, cone
 
 
 def _space(stretch: FloatArray | None) -> FloatArray:
@@ -165,9 +219,14 @@ def _space(stretch: FloatArray | None) -> FloatArray:
 
 
 def _edges(areas: Segmented, camera: Camera, space: FloatArray) -> tuple[Candidates, PixelRays]:
-    """A picture's candidates for a limb, and their rays in the space."""
-    candidates = find_candidates(areas.picture, camera, areas.levels, areas.blobs)
-    return candidates, pixel_rays(camera, candidates.pixels, space)
+    """A picture's candidates for a limb, and their rays in the space; made once."""
+
+    def make() -> tuple[Candidates, PixelRays]:
+        candidates = find_candidates(areas.picture, camera, areas.levels, areas.blobs)
+        return candidates, pixel_rays(camera, candidates.pixels, space)
+
+    made: tuple[Candidates, PixelRays] = areas.made.get(("edges", camera, space.tobytes()), make)
+    return made
 
 
 def _first_cone(

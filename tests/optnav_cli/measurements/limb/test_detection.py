@@ -247,3 +247,58 @@ def test_a_third_of_the_lit_pixels_at_full_scale_is_refused_with_share_and_scale
     with pytest.raises(NoSolutionError, match=rf"saturated: 4\d % .* {full:g} counts") as caught:
         find_limb(np.minimum(picture, full), camera, sun, saturation=full)
     assert caught.value.code == "saturated"
+
+
+def with_plume(light, camera, centre, sun):
+    """The light with a fan beyond the middle of the lit limb, a quarter as bright, and haze."""
+    pixel = pixel_grid(camera)
+    middle = camera.project(centre)
+    towards = np.array(sun[:2]) / np.hypot(*sun[:2])
+    away = pixel - middle
+    radius = np.linalg.norm(away, axis=-1)
+    aside = np.degrees(np.arccos(np.clip(away @ towards / np.maximum(radius, 1e-9), -1.0, 1.0)))
+    limb = camera.focal_length_px * np.tan(np.arcsin(RADIUS_M / np.linalg.norm(centre)))
+    beyond = np.maximum(radius - limb, 0.0)
+    fan = 0.2 * np.exp(-0.5 * (aside / 20.0) ** 2 - beyond / 30.0) * (radius > limb)
+    return light + np.median(light[light > 0.2 * light.max()]) * (fan + 0.03)
+
+
+def test_plumes_beyond_a_crescent_are_no_ground():
+    camera, centre, sun, light, rng = scene(120, 140, size_px=500)
+    limb = find_limb(expose(with_plume(light, camera, centre, sun), 50.0, rng), camera, sun)
+    outward = outward_px(camera, centre, limb)
+    assert limb.arc_deg > 80.0
+    assert abs(np.median(outward)) < 3.0 * limb.common_sigma_px
+
+
+@pytest.mark.parametrize("phase_deg", [30, 60, 110])
+def test_a_wide_halo_does_not_hide_the_limb(phase_deg):
+    """A quarter of the light lies in a halo of 15 px: above the first threshold as far as 20 px."""
+    camera, centre, sun, light, rng = scene(100, phase_deg)
+    scattered = 0.75 * light + 0.25 * cv2.GaussianBlur(light, (0, 0), 15.0)
+    limb = find_limb(expose(scattered, 50.0, rng), camera, sun)
+    outward = outward_px(camera, centre, limb)
+    assert abs(np.median(outward)) < 3.0 * limb.common_sigma_px
+
+
+def test_burnt_in_text_is_not_joined_to_the_limb():
+    camera, centre, sun, light, rng = scene(60, 70, size_px=420)
+    writing = np.zeros(light.shape, np.uint8)
+    for line in range(3):
+        for left in (5, 275):
+            place, font = (left, 20 + 25 * line), cv2.FONT_HERSHEY_SIMPLEX
+            cv2.putText(writing, "2008-05-11 16:20", place, font, 0.5, 255.0, 2)
+    picture = np.maximum(expose(light, 50.0, rng), writing).astype(np.float32)
+    limb = find_limb(picture, camera, sun)
+    assert abs(np.median(outward_px(camera, centre, limb))) < 3.0 * limb.common_sigma_px
+
+
+def test_structure_beyond_the_limb_is_no_stray_light():
+    """Lit ground all round a dark disc has edges of its own."""
+    rng = np.random.default_rng(5)
+    camera, _, sun, light, _ = scene(60, 60, size_px=300)
+    ground = cv2.GaussianBlur(rng.normal(size=light.shape), (0, 0), 4.0)
+    ground = np.clip(60.0 + 40.0 * ground / ground.std(), 0.0, 255.0)
+    picture = np.maximum(ground, 150.0 * light / light.max()).astype(np.float32)
+    with pytest.raises(NoSolutionError):
+        find_limb(picture, camera, sun)
