@@ -150,6 +150,20 @@ class GateMargins:
     scatter: float
 
 
+@dataclass(frozen=True)
+class LensEstimate:
+    """How a lens differs from its camera file, estimated with the pose.
+
+    focal_scale, focal_scale_sigma  focal length over the stated; None where it counts as exact
+    shift_px, shift_sigma_px        of the principal point, x and y; None where it counts as exact
+    """
+
+    focal_scale: float | None = None
+    focal_scale_sigma: float | None = None
+    shift_px: tuple[float, float] | None = None
+    shift_sigma_px: tuple[float, float] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What a fix rests on, or what was tried for one; None where it does not apply.
@@ -165,6 +179,7 @@ class Evidence:
     margins          of the pose that the matches gave; not read back with a table
     n_windows        windows of the terrain model that a descent's solution keeps
     n_landmarks      landmarks that it keeps
+    lens             what was estimated of the lens
     """
 
     n_predicted: int | None = None
@@ -178,6 +193,7 @@ class Evidence:
     margins: GateMargins | None = None
     n_windows: int | None = None
     n_landmarks: int | None = None
+    lens: LensEstimate | None = None
 
 
 NO_EVIDENCE = Evidence()

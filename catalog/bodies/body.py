@@ -298,6 +298,15 @@ class Body:
     catalog_frame: CatalogFrame = THE_SAME_FRAME
     atmosphere: Atmosphere | None = None
 
+    @property
+    def flattening(self) -> float:
+        """(a - c) / a of a spheroid; 0 of a sphere, and of bodies without geodetic latitudes.
+
+        Those have three semi-axes, or two equal ones that are not along x and y.
+        """
+        a, b, c = self.radii_m
+        return (a - c) / a if a == b else 0.0
+
     def rotation_error_m(self, tdb_s: float) -> float:
         """Error of the rotation as a shift of the surface, 1 sigma a body axis; 0: not stated.
 

@@ -27,7 +27,12 @@ UNDATED = "1970-01-01T00:00:00Z"
 MOON_SRS_ID = 30100  # IAU_2015:30100, Moon, sphere, planetocentric latitude
 MOON_RADIUS_M = 1737400.0
 MAP_AXES = 'UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]'  # end of a map's WKT
-CUSTOM_SRS_ID = 100001  # a number that no registry uses
+CUSTOM_SRS_ID, SPHEROID_SRS_ID = 100001, 100002  # numbers that no registry uses
+WGS84 = (6378137.0, 298.257224)  # semi-major axis, m, and inverse flattening
+WGS84_WKT = (
+    'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'
+    'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
+)
 
 Box = tuple[float, float, float, float]  # west, south, east, north, deg
 Feature = tuple[tuple[object, ...], Box | None]  # a row of a layer, and what its geometry spans
@@ -239,6 +244,30 @@ def srs_of(body: str, radius_m: float) -> tuple[int, str, str, int, str]:
     return srs_id, name, organization, code, wkt
 
 
+def spheroid_srs_of(
+    body: str, radii_m: tuple[float, float, float]
+) -> tuple[int, str, str, int, str]:
+    """The same five of geodetic degrees on a body's spheroid; EPSG:4326 for WGS 84."""
+    a, _, c = radii_m
+    inverse = a / (a - c)
+    if body == "earth" and (a, round(inverse, 6)) == WGS84:
+        return 4326, "WGS 84 geodetic", "EPSG", 4326, WGS84_WKT
+    name = f"{body.capitalize()} - Spheroid of {a:.12g} and {c:.12g} m"
+    wkt = (
+        f'GEOGCS["{name}",DATUM["{name}",SPHEROID["{name}",{a:.12g},{inverse:.15g}]],'
+        'PRIMEM["Reference Meridian",0],UNIT["degree",0.0174532925199433,'
+        'AUTHORITY["EPSG","9122"]],AXIS["Longitude",EAST],AXIS["Latitude",NORTH]]'
+    )
+    return SPHEROID_SRS_ID, name, "NONE", SPHEROID_SRS_ID, wkt
+
+
+def add_system(db: sqlite3.Connection, system: tuple[int, str, str, int, str]) -> None:
+    """Add a coordinate system of `spheroid_srs_of` that the file does not have yet."""
+    srs_id, name, organization, code, wkt = system
+    row = name, srs_id, organization, code, wkt, "geodetic latitude, east longitude"
+    db.execute("INSERT OR IGNORE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", row)
+
+
 def stereographic_wkt(
     body: str, centre: str, radius_m: float, centre_deg: tuple[float, float]
 ) -> str:
@@ -259,15 +288,11 @@ def stereographic_wkt(
 def system_rows(body: str, radius_m: float) -> list[tuple[object, ...]]:
     """Rows of gpkg_spatial_ref_sys: what every GeoPackage has, and the body's own."""
     srs_id, name, organization, code, wkt = srs_of(body, radius_m)
-    wgs84 = (
-        'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'
-        'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
-    )
     # the specification wants the first three in every GeoPackage
     return [
         ("Undefined Cartesian", -1, "NONE", -1, "undefined", "undefined Cartesian system"),
         ("Undefined geographic", 0, "NONE", 0, "undefined", "undefined geographic system"),
-        ("WGS 84 geodetic", 4326, "EPSG", 4326, wgs84, "Earth"),
+        ("WGS 84 geodetic", 4326, "EPSG", 4326, WGS84_WKT, "Earth"),
         (name, srs_id, organization, code, wkt, "planetocentric latitude, east longitude"),
     ]
 

@@ -29,10 +29,12 @@ from optnav_cli.estimation.models.picked_points import (
     LensPrior,
     PickedSightings,
     StatedAttitude,
+    estimated_lens,
     moved_with_lens,
 )
 from optnav_cli.estimation.models.points import Pose, ProjectingCamera, predict
 from optnav_cli.estimation.picked_posterior import PickedLikelihood
+from optnav_cli.fix import LensEstimate
 from optnav_cli.reasons import Reason, ReasonCode
 
 # A point is left out, and a whole fit refused, when chance makes as much so rarely.
@@ -64,6 +66,7 @@ class PickedPose:
     residuals_px  (n, 2) of all points, measured less predicted
     cost, freedom squared residuals in units of their covariance, and their expectation
     focal         what the lens is longer by, as a share, as far as the points tell
+    lens          what was estimated of the lens; None where it counts as exact
     """
 
     pose: Pose
@@ -73,6 +76,7 @@ class PickedPose:
     cost: float
     freedom: int
     focal: float
+    lens: LensEstimate | None = None
 
     @property
     def fits(self) -> bool:
@@ -381,7 +385,9 @@ class PickedResection:
         cost, freedom = estimate.cost, estimate.degrees_of_freedom
         covariance = estimate.covariance[:6, :6] * _widening(cost, freedom)
         left_px = self.points.pixels - predicted
-        return PickedPose(state.pose, covariance, used, left_px, cost, freedom, state.focal)
+        sigmas = np.sqrt(np.diag(estimate.covariance)[6:] * _widening(cost, freedom))
+        lens = estimated_lens(state, sigmas, self.lens)
+        return PickedPose(state.pose, covariance, used, left_px, cost, freedom, state.focal, lens)
 
     def _snooped(
         self, estimate: Estimate[LensPose], used: BoolArray

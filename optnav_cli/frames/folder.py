@@ -69,7 +69,11 @@ def read_folder(path: str | Path, kernels: Sequence[Path] = ()) -> Folder:
     points = None
     if (path / POINTS_CSV).exists():
         files = [frame.file for frame in frames]
-        points = read_picked_points(path / POINTS_CSV, files, body, settings.points)
+        try:
+            settings.points.check(body)
+        except ConfigError as error:
+            raise ConfigError(f"{path / 'run.toml'}: {error}") from None
+        points = read_picked_points(path / POINTS_CSV, files, body, settings.points.filled)
     return Folder(path, settings, attitude.ephemeris, cameras, frames, points)
 
 

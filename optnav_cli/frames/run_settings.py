@@ -19,6 +19,7 @@ from catalog.geometry.rotations import ARCSEC
 from optnav_cli.frames.stereo_mount import MountSettings, check_mounts
 
 RUN_TOML = "run.toml"
+MAX_ROUND = 1e-3  # flattening up to which [points] need not be stated
 Attitude = Literal["camera_from_body", "camera_from_inertial"]
 
 
@@ -55,15 +56,51 @@ class InertialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return float(np.linalg.norm(position)), float(np.linalg.norm(attitude)) * ARCSEC
 
 
+LatitudeKind = Literal["planetocentric", "geodetic"]
+HeightKind = Literal["sphere", "ellipsoid"]
+
+
 class PointsSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[points]: what the coordinates of points.csv are.
+    """What the coordinates of points.csv are.
 
     latitude  from the body's centre, or of the normal of its ellipsoid, as on maps of the Earth
     height    above the body's sphere, or above its ellipsoid
     """
 
-    latitude: Literal["planetocentric", "geodetic"] = "planetocentric"
-    height: Literal["sphere", "ellipsoid"] = "sphere"
+    latitude: LatitudeKind = "planetocentric"
+    height: HeightKind = "sphere"
+
+
+class PointsSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[points]: the settings of points.csv as far as run.toml states them."""
+
+    latitude: LatitudeKind | msgspec.UnsetType = msgspec.UNSET
+    height: HeightKind | msgspec.UnsetType = msgspec.UNSET
+
+    @property
+    def filled(self) -> PointsSettings:
+        """The settings, with the default of what is not stated."""
+        return PointsSettings(**msgspec.to_builtins(self))
+
+    def check(self, body: Body) -> None:
+        """Raise ConfigError where the body's shape asks for what is not stated, or forbids it."""
+        a, b, _ = body.radii_m
+        if self.latitude == "geodetic" and a != b:
+            radii = ", ".join(f"{axis / 1e3:g}" for axis in body.radii_m)
+            raise ConfigError(
+                f'[points] latitude is "geodetic", but the {body.name} has the radii {radii} km; '
+                'geodetic latitudes are those of a spheroid: write latitude = "planetocentric", '
+                "or state a body file whose first two radii are equal"
+            )
+        missing = [name for name in ("latitude", "height") if name not in msgspec.to_builtins(self)]
+        if missing and abs(body.flattening) > MAX_ROUND:
+            off_km = max(np.ptp(body.radii_m), np.abs(np.array(body.radii_m) - body.radius_m).max())
+            raise ConfigError(
+                f"[points] does not state {' and '.join(missing)}; the {body.name} is flattened by "
+                f"1/{1.0 / body.flattening:.0f}, and read wrongly points lie up to "
+                f'{off_km / 1e3:.2g} km off: write [points] with latitude = "geodetic" or '
+                '"planetocentric" and height = "ellipsoid" or "sphere"'
+            )
 
 
 class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -80,7 +117,7 @@ class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     attitude: Attitude
     inertial: InertialSettings | msgspec.UnsetType = msgspec.UNSET
     mount: tuple[MountSettings, ...] = ()
-    points: PointsSettings = PointsSettings()
+    points: PointsSection = PointsSection()
 
 
 def read_run_settings(path: Path) -> tuple[RunSettings, Body]:
@@ -111,9 +148,9 @@ def write_run_settings(settings: RunSettings, folder: Path) -> None:
         errors = msgspec.structs.asdict(settings.inertial)
         lines = (f"{name} = {float(value)!r}\n" for name, value in errors.items())
         text += "\n[inertial]\n" + "".join(lines)
-    if settings.points != PointsSettings():
-        points = settings.points
-        text += f'\n[points]\nlatitude = "{points.latitude}"\nheight = "{points.height}"\n'
+    stated = msgspec.to_builtins(settings.points)
+    if stated:
+        text += "\n[points]\n" + "".join(f'{name} = "{kind}"\n' for name, kind in stated.items())
     text += "".join(mount.toml() for mount in settings.mount)
     (folder / RUN_TOML).write_text(text, encoding="utf-8")
 

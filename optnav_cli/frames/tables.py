@@ -160,6 +160,24 @@ SOLUTION = CsvTable(
     )
 )
 
+# Further columns of solution.csv: of a run whose body is a spheroid; whose lens is estimated.
+SOLUTION_SPHEROID = CsvTable(
+    (
+        number("lat_geodetic_deg", "geodetic latitude below the camera", "deg", "z.9f", newer=True),
+        number("height_ellipsoid_m", "height above the body's ellipsoid", "m", "z.4f", newer=True),
+    )
+)
+LENS_SHIFT = ("principal_shift_x_px", "principal_shift_y_px")
+LENS_SHIFT_SIGMA = ("principal_shift_sigma_x_px", "principal_shift_sigma_y_px")
+SOLUTION_LENS = CsvTable(
+    (
+        number("focal_scale", "focal length over that of the camera file", "", "z.7f", newer=True),
+        number("focal_scale_sigma", "its 1 sigma, with the stated one", "", "z.7f", newer=True),
+        *_pixel("principal_shift", "principal point less that of the camera file", newer=True),
+        *_pixel("principal_shift_sigma", "its 1 sigma, with the stated one", newer=True),
+    )
+)
+
 MATCHES = CsvTable(
     (
         FILE,

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
-from catalog.geometry.ellipsoid import normal_at
+from catalog.geometry.ellipsoid import geodetic_from_xyz, normal_at
 from catalog.geometry.latlon import latlon_from_xyz, wrap_longitude_deg
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.picked_points import AttitudePrior, LensPrior, PickedSightings
@@ -128,6 +128,7 @@ class _FrameOfPoints:
             n_used=int(sum(m.used for m in matches)),
             residual_rms_px=float(np.sqrt((residuals**2).mean())),
             matches=matches,
+            lens=found.lens if self._how.construction == "least_squares" else None,
         )
         return Fix(
             Method.PICKED_POINTS,
@@ -313,9 +314,15 @@ class _FrameOfPoints:
         )
 
     def _in_words(self, pose: Pose) -> str:
-        lat, lon, radius = latlon_from_xyz(self._how.attitude.places.stated(pose.position_m))
-        height = (float(radius) - self._body.radius_m) / 1e3
-        return f"{np.degrees(lat):.4f} {np.degrees(lon):.4f} deg, {height:.2f} km high"
+        place = self._how.attitude.places.stated(pose.position_m)
+        lat, lon, radius = latlon_from_xyz(place)
+        height = radius - self._body.radius_m
+        if self._body.flattening:
+            lat, lon, height = geodetic_from_xyz(place, self._body.radii_m)
+        words = (
+            f"{np.degrees(lat):.4f} {np.degrees(lon):.4f} deg, {float(height) / 1e3:.2f} km high"
+        )
+        return f"geodetic {words}" if self._body.flattening else words
 
     def _constructed(self, found: PickedPose) -> tuple[FloatArray, FloatArray, Rotation]:
         """Place, covariance and attitude by the construction that is asked for."""

@@ -24,6 +24,7 @@ from catalog.arrays import ByteArray, FloatArray
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError
+from catalog.geometry.ellipsoid import geodetic_from_xyz
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.rotations import ARCSEC, rnb_axes
 from catalog.terrain.relief.relief import GlobalRelief
@@ -269,6 +270,10 @@ def _numbers(solution: Solution, camera: str, body: Body) -> Message:
         lat, lon, radius = (float(v) for v in latlon_from_xyz(position))
         found |= {"lat_deg": float(np.degrees(lat)), "lon_deg": float(np.degrees(lon))}
         found["height_m"] = radius - body.radius_m
+        if body.flattening:
+            geodetic, _, height = geodetic_from_xyz(position, body.radii_m)
+            found["lat_geodetic_deg"] = float(np.degrees(geodetic))
+            found["height_ellipsoid_m"] = float(height)
         if solution.prior_m is not None:
             found["moved_from_prior_m"] = float(np.linalg.norm(position - solution.prior_m))
         if covariance is not None:

@@ -8,12 +8,14 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
+from catalog.geometry.ellipsoid import geodetic_from_xyz
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
-from catalog.tables import CsvRow
+from catalog.tables import CsvRow, CsvTable
 from optnav_cli.fix import (
     Evidence,
     Fix,
+    LensEstimate,
     MatchKind,
     MatchRow,
     Method,
@@ -28,10 +30,14 @@ from optnav_cli.frames.tables import (
     COVARIANCE,
     GROUND_COVARIANCE,
     LANDMARKS,
+    LENS_SHIFT,
+    LENS_SHIFT_SIGMA,
     MATCHES,
     POSITION,
     QUATERNION,
     SOLUTION,
+    SOLUTION_LENS,
+    SOLUTION_SPHEROID,
 )
 from optnav_cli.reasons import Reason, ReasonCode
 
@@ -81,13 +87,23 @@ class AdjustedMatch(NamedTuple):
 
 
 def write_solutions(path: Path, solutions: Iterable[Solution], attitude: FileAttitude) -> None:
-    """Write solution.csv; latitude, longitude and height refer to the body's reference sphere."""
-    SOLUTION.write(path, (_solution_cells(solution, attitude) for solution in solutions))
+    """Write solution.csv; latitude, longitude and height refer to the body's reference sphere.
+
+    Geodetic ones follow for a spheroid, and what was estimated of lenses where it was.
+    """
+    rows = list(solutions)
+    columns = SOLUTION.columns
+    if attitude.body.flattening:
+        columns += SOLUTION_SPHEROID.columns
+    if any(row.evidence.lens for row in rows):
+        columns += SOLUTION_LENS.columns
+    CsvTable(columns).write(path, (_solution_cells(row, attitude) for row in rows))
 
 
 def read_solutions(path: Path, attitude: FileAttitude) -> list[Solution]:
     """Read solution.csv back. Raises DataError naming the row that is damaged."""
-    return SOLUTION.read(path, lambda row: _solution(row, attitude))
+    table = CsvTable((*SOLUTION.columns, *SOLUTION_LENS.columns))
+    return table.read(path, lambda row: _solution(row, attitude))
 
 
 def write_matches(path: Path, matches: Iterable[MatchRow]) -> None:
@@ -122,6 +138,10 @@ def _solution_cells(solution: Solution, attitude: FileAttitude) -> dict[str, obj
         cells |= zip(POSITION, place, strict=True)
         cells |= _place_cells(place)
         cells["height_m"] = float(cast(float, cells["radius_m"])) - attitude.body.radius_m
+        if attitude.body.flattening:
+            lat, _, height = geodetic_from_xyz(place, attitude.body.radii_m)
+            cells["lat_geodetic_deg"] = float(np.degrees(lat))
+            cells["height_ellipsoid_m"] = float(height)
     if solution.covariance_m2 is not None:
         covariance = attitude.places.stated_covariance(solution.covariance_m2)
         cells |= {name: covariance[at] for name, at in zip(COVARIANCE, UPPER)}
@@ -130,7 +150,31 @@ def _solution_cells(solution: Solution, attitude: FileAttitude) -> dict[str, obj
         cells |= zip(QUATERNION, quaternion_from_rotation(written), strict=True)
     if solution.attitude_sigma_rad is not None:
         cells["attitude_sigma_arcsec"] = solution.attitude_sigma_rad / ARCSEC
+    return cells | _lens_cells(solution.evidence.lens)
+
+
+def _lens_cells(lens: LensEstimate | None) -> dict[str, object]:
+    if lens is None:
+        return {}
+    cells: dict[str, object] = {
+        "focal_scale": lens.focal_scale,
+        "focal_scale_sigma": lens.focal_scale_sigma,
+    }
+    if lens.shift_px is not None and lens.shift_sigma_px is not None:
+        cells |= zip(LENS_SHIFT, lens.shift_px, strict=True)
+        cells |= zip(LENS_SHIFT_SIGMA, lens.shift_sigma_px, strict=True)
     return cells
+
+
+def _lens(row: CsvRow) -> LensEstimate | None:
+    focal = row.number("focal_scale"), row.number("focal_scale_sigma")
+    shift, sigma = row.vector(LENS_SHIFT), row.vector(LENS_SHIFT_SIGMA)
+    if focal[0] is None and shift is None:
+        return None
+    if shift is None or sigma is None:
+        return LensEstimate(*focal)
+    (x, y), (sigma_x, sigma_y) = shift.tolist(), sigma.tolist()
+    return LensEstimate(*focal, (x, y), (sigma_x, sigma_y))
 
 
 def _place_cells(position_m: FloatArray) -> dict[str, float]:
@@ -157,6 +201,7 @@ def _solution(row: CsvRow, attitude: FileAttitude) -> Solution:
         arc_deg=row.number("arc_deg"),
         n_windows=row.count("n_windows"),
         n_landmarks=row.count("n_landmarks"),
+        lens=_lens(row),
     )
     method = _method(row)
     outcome: Fix | NoFix = NoFix(reason, method, evidence)

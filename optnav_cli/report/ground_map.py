@@ -5,11 +5,14 @@ from pathlib import Path
 
 import numpy as np
 from markupsafe import Markup
+from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, ByteArray, FloatArray
+from catalog.bodies.body import Body
 from catalog.errors import DataError
-from catalog.geometry.ellipsoid import distance_to_sphere
+from catalog.geometry.ellipsoid import distance_to_sphere, geodetic_from_xyz
 from catalog.geometry.latlon import latlon_from_xyz
+from catalog.geometry.vectors import unit
 from catalog.store.reader import Catalog
 from optnav_cli.fix import Solution
 from optnav_cli.output.manifest import read_manifest
@@ -32,20 +35,30 @@ def ground_plot(run: RunFolder) -> Markup:
     solved = sorted(
         (s for s in run.solutions if s.position_m is not None), key=lambda s: time_of(s.utc)
     )
-    lat, lon, _ = latlon_from_xyz(np.array([s.position_m for s in solved]))
+    body = run.attitude.body
+    lat, lon = _latlon(np.array([s.position_m for s in solved]), body)
     points = {(m.catalog, m.cp_id): m for m in sorted(run.matches, key=lambda match: match.used)}
     tried = np.array([m.cp_position_m for m in points.values()]).reshape(-1, 3)
-    cp_lat, cp_lon, _ = latlon_from_xyz(tried)
+    cp_lat, cp_lon = _latlon(tried, body)
     step = -(-len(solved) // MAX_FOOTPRINTS)
     borders = [border for s in solved[::step] if (border := _footprint(run, s)) is not None]
     all_lat = np.degrees(np.concatenate([lat, cp_lat, *(b[0] for b in borders)]))
     all_lon = np.degrees(np.concatenate([lon, cp_lon, *(b[1] for b in borders)]))
     finite = np.isfinite(all_lat)
-    ground = GroundMap.about(all_lat[finite], all_lon[finite], run.attitude.body.radius_m)
+    ground = GroundMap.about(all_lat[finite], all_lon[finite], body.radius_m)
     extent = ground.places(all_lat[finite], all_lon[finite])
     plot = ground.plot(*extent, height=HEIGHT)
     caption = "Where the camera looked." + ("" if step == 1 else f" Footprints, one of {step}.")
-    under = _relief(run, MapView("", False, lambda: plot, ground.latlon, ground.places, None))
+    caption += " Latitudes are geodetic." if body.flattening else ""
+
+    def planetocentric(x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        on_map_deg, east_deg = ground.latlon(x, y)
+        slope = (1.0 - body.flattening) ** 2 * np.tan(np.radians(on_map_deg))
+        return (
+            (np.degrees(np.arctan(slope)), east_deg) if body.flattening else (on_map_deg, east_deg)
+        )
+
+    under = _relief(run, MapView("", False, lambda: plot, planetocentric, ground.places, None))
     if under is not None:
         gray, known, words = under
         gray[~known] = round(GRAY)
@@ -93,9 +106,29 @@ def _footprint(run: RunFolder, solution: Solution) -> tuple[FloatArray, FloatArr
         return None
     rays = camera.unproject(camera.border(BORDER_POINTS))
     rays_body = rays @ solution.camera_from_body.as_matrix()
-    distance = distance_to_sphere(solution.position_m, rays_body, run.attitude.body.radius_m)
-    lat, lon, _ = latlon_from_xyz(solution.position_m + distance[:, None] * rays_body)
-    return (lat, lon) if np.isfinite(lat).any() else None
+    body = run.attitude.body
+    if body.flattening:  # divided by its semi-axes the spheroid is the unit sphere
+        radii = np.array(body.radii_m)
+        eye, sights = solution.position_m / radii, unit(rays_body / radii)
+        places = (eye + distance_to_sphere(eye, sights, 1.0)[:, None] * sights) * radii
+    else:
+        distance = distance_to_sphere(solution.position_m, rays_body, body.radius_m)
+        places = solution.position_m + distance[:, None] * rays_body
+    known = np.isfinite(places).all(axis=1)
+    if not known.any():
+        return None
+    lat, lon = np.full((2, len(places)), np.nan)
+    lat[known], lon[known] = _latlon(places[known], body)
+    return lat, lon
+
+
+def _latlon(places_m: FloatArray, body: Body) -> tuple[FloatArray, FloatArray]:
+    """Latitude and longitude (n,) of places (n, 3), rad; geodetic of a spheroid."""
+    lat, lon, _ = latlon_from_xyz(places_m)
+    if body.flattening and len(places_m):
+        geodetic = geodetic_from_xyz(places_m, body.radii_m)[0]
+        lat = np.where(np.isfinite(geodetic), geodetic, lat)
+    return lat, lon
 
 
 def _relief(run: RunFolder, view: MapView) -> tuple[ByteArray, BoolArray, str] | None:

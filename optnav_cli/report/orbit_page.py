@@ -9,6 +9,7 @@ from markupsafe import Markup
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
+from catalog.geometry.ellipsoid import geodetic_from_xyz
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.tables import CsvRow
 from optnav_cli.evaluation.orbit_errors import ERRORS_CSV
@@ -335,13 +336,16 @@ def _track(drawn: OrbitPicture) -> Markup:
             for time, state in zip(rows.times, rows.states, strict=True)
         ]
     )
-    lat, lon = (np.degrees(v) for v in latlon_from_xyz(places)[:2])
+    body = orbit.body
+    kind = "geodetic latitude" if body.flattening else "latitude"
+    angles = geodetic_from_xyz(places, body.radii_m) if body.flattening else latlon_from_xyz(places)
+    lat, lon = (np.degrees(v) for v in angles[:2])
     broken = np.flatnonzero(np.abs(np.diff(lon)) > 180.0) + 1
     line = np.insert(lon, broken, np.nan), np.insert(lat, broken, np.nan)
     fixes = np.array([kind == "fix" for kind in rows.kinds])
     degrees = PlotAxis((-180.0, 180.0), "longitude, °", numbers=range(-180, 181, 60))
     plot = Plot(
-        degrees, PlotAxis((-90.0, 90.0), "latitude, °", numbers=range(-90, 91, 30)), height=400
+        degrees, PlotAxis((-90.0, 90.0), f"{kind}, °", numbers=range(-90, 91, 30)), height=400
     )
     plot.line(*line, "s1 thin")
     plot.marks(lon[fixes], lat[fixes], "s3", "circle", 2.4)

@@ -9,6 +9,7 @@ origin, this disc is the unit circle and the picture's border a ring, which is c
 
 import sqlite3
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,10 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
+from catalog.bodies.body import Body
 from catalog.errors import OutputError
 from catalog.files import replacing_file
-from catalog.geometry.ellipsoid import distance_to_sphere
-from catalog.geometry.latlon import latlon_from_xyz
+from catalog.geometry.ellipsoid import distance_to_sphere, geodetic_from_xyz
+from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.map_pieces import area_pieces, clip_ring, line_pieces
 from catalog.geometry.vectors import perpendicular_basis, unit
 from catalog.store.connection import SIDECARS
@@ -34,10 +36,12 @@ from catalog.store.geopackage import (
     FeatureLayer,
     Kind,
     Rule,
+    add_system,
     describe_geopackage,
     new_geopackage,
     parts_geometry,
     point_geometry,
+    spheroid_srs_of,
     srs_of,
     style_qml,
     table_columns,
@@ -95,33 +99,44 @@ MATCHES = FeatureLayer(
         Rule("used", '"used"', "circle", GREEN, 1.6), Rule("not used", "ELSE", "cross2", RED, 1.6)
     ),
 )
+HEIGHT_ELLIPSOID = "height_ellipsoid_m DOUBLE"  # further column of a spheroid's positions
+POSITIONS_SPHEROID = replace(POSITIONS, columns=(*POSITIONS.columns, HEIGHT_ELLIPSOID))
 LAYERS = (FOOTPRINTS, TRACK, MATCHES, POSITIONS)  # as they are drawn, the lowest first
 ALONG = 48  # points of the border a side
 LIMB_STEP = np.radians(2.0)  # between points of the limb, about the nadir
 
 
 def export_run(run: RunFolder, path: Path) -> dict[str, int]:
-    """Write a run's layers on the body's sphere to a .gpkg file; returns how many rows each has.
+    """Write a run's layers to a .gpkg file; returns how many rows each has.
 
+    They lie on the body's sphere, those of a spheroid in geodetic coordinates on it.
     Raises OutputError for another ending, a place that cannot be written, or an existing file that
     is no such export.
     """
     if path.suffix.lower() != ENDING:
         raise OutputError(f"{path}: a run is written as {ENDING}; choose a name that ends so")
     body = run.attitude.body
-    srs_id = srs_of(body.name, body.radius_m)[0]
-    features = dict(zip(LAYERS, (_footprints, _tracks, _matches, _positions)))
+    layers = LAYERS
+    system = srs_of(body.name, body.radius_m)
+    if body.flattening:
+        system = spheroid_srs_of(body.name, body.radii_m)
+        layers = (*LAYERS[:-1], POSITIONS_SPHEROID)
+    srs_id = system[0]
+    features = dict(zip(layers, (_footprints, _tracks, _matches, _positions)))
     with replacing_file(path, _is_ours, SIDECARS) as partial, new_geopackage(partial) as db:
         describe_geopackage(db, body.name, body.radius_m, UNDATED)
+        if body.flattening:
+            add_system(db, system)
         for layer, make in features.items():
             layer.create(db)
             extent = layer.fill(db, make(run, srs_id))
             layer.register(db, srs_id, extent, UNDATED)
-        return {layer.name: _count(db, layer) for layer in LAYERS}
+        return {layer.name: _count(db, layer) for layer in layers}
 
 
 def _is_ours(path: Path) -> bool:
-    return table_columns(path, POSITIONS.name) == POSITIONS.names
+    ours = POSITIONS.names, POSITIONS_SPHEROID.names
+    return table_columns(path, POSITIONS.name) in ours
 
 
 def _count(db: sqlite3.Connection, layer: FeatureLayer) -> int:
@@ -138,10 +153,22 @@ def _frame(run: RunFolder, solution: Solution) -> tuple[object, ...]:
     return solution.file, solution.utc, _camera(run, solution)
 
 
-def _place(xyz_m: FloatArray) -> tuple[float, float, float]:
-    """Longitude and latitude, deg, and distance from the centre, m."""
-    lat, lon, radius = (float(value) for value in latlon_from_xyz(xyz_m))
-    return float(np.degrees(lon)), float(np.degrees(lat)), radius
+def _on_map(xyz_m: FloatArray, body: Body) -> FloatArray:
+    """Vectors (..., 3) whose planetocentric coordinates are those of places (..., 3) on the map.
+
+    Of a spheroid they are the normals through the places, whose latitudes are geodetic.
+    """
+    if not body.flattening:
+        return xyz_m
+    lat, lon, _ = geodetic_from_xyz(xyz_m, body.radii_m)
+    normals = xyz_from_latlon(lat, lon, 1.0)
+    return np.where(np.isfinite(normals), normals, xyz_m)
+
+
+def _place(xyz_m: FloatArray, body: Body) -> tuple[float, float]:
+    """Longitude and latitude on the map, deg."""
+    lat, lon, _ = (float(value) for value in latlon_from_xyz(_on_map(xyz_m, body)))
+    return float(np.degrees(lon)), float(np.degrees(lat))
 
 
 def _box(parts: list[FloatArray]) -> Box | None:
@@ -158,6 +185,7 @@ def _parts(kind: Kind, parts: list[FloatArray], srs_id: int) -> tuple[bytes | No
 def _tracks(run: RunFolder, srs_id: int) -> Iterator[Feature]:
     """A feature for each camera with frames that belong together."""
     cameras: dict[str, list[tuple[TimedPlace, Solution]]] = {}
+    body = run.attitude.body
     for s in run.solutions:
         if s.position_m is not None:
             place = TimedPlace(time_of(s.utc), s.position_m)
@@ -170,7 +198,7 @@ def _tracks(run: RunFolder, srs_id: int) -> Iterator[Feature]:
                 passes.append([])
             passes[-1].append(here)
         lines = [np.array([place.position_m for place in way]) for way in passes if len(way) > 1]
-        pieces = [piece for line in lines for piece in line_pieces(line)]
+        pieces = [piece for line in lines for piece in line_pieces(_on_map(line, body))]
         geometry, box = _parts(TRACK.kind, pieces, srs_id)
         times = places[0][1].utc, places[-1][1].utc
         yield (number, geometry, camera, *times, len(places)), box
@@ -178,20 +206,25 @@ def _tracks(run: RunFolder, srs_id: int) -> Iterator[Feature]:
 
 def _positions(run: RunFolder, srs_id: int) -> Iterator[Feature]:
     """A feature for each frame; of an unsolved one the attributes alone."""
+    body = run.attitude.body
+    above: tuple[object, ...] = (None,) if body.flattening else ()
     for number, s in enumerate(run.solutions, start=1):
-        geometry, box, numbers = None, None, (None,) * 6
+        geometry, box, numbers, more = None, None, (None,) * 6, above
         if s.position_m is not None and s.covariance_m2 is not None:
-            lon, lat, radius = _place(s.position_m)
+            lon, lat = _place(s.position_m, body)
+            radius = float(latlon_from_xyz(s.position_m)[2])
             up = s.position_m / radius
             variance = float(up @ s.covariance_m2 @ up)
             across = max(float(np.trace(s.covariance_m2)) - variance, 0.0)
             geometry, box = point_geometry(lon, lat, srs_id), (lon, lat, lon, lat)
-            height = radius - run.attitude.body.radius_m
+            height = radius - body.radius_m
+            if body.flattening:
+                more = (unknown_as_none(float(geodetic_from_xyz(s.position_m, body.radii_m)[2])),)
             numbers = (height, variance**0.5, across**0.5, *map(float, s.position_m))
         evidence = s.n_used, s.n_limb, s.residual_rms_px
         words = s.status, s.method, s.prior
         why = s.reason, s.reason_code.value
-        yield (number, geometry, *_frame(run, s), *words, *numbers, *evidence, *why), box
+        yield (number, geometry, *_frame(run, s), *words, *numbers, *evidence, *why, *more), box
 
 
 def _footprints(run: RunFolder, srs_id: int) -> Iterator[Feature]:
@@ -204,7 +237,7 @@ def _footprints(run: RunFolder, srs_id: int) -> Iterator[Feature]:
             continue
         turn = s.camera_from_body.as_matrix()
         rings = footprint_of(camera, s.position_m, turn, body.radii_m)
-        pieces = [piece for ring in rings for piece in area_pieces(ring)]
+        pieces = [piece for ring in rings for piece in area_pieces(_on_map(ring, body))]
         geometry, box = _parts(FOOTPRINTS.kind, pieces, srs_id)
         if geometry is not None:
             number += 1
@@ -215,7 +248,8 @@ def _footprints(run: RunFolder, srs_id: int) -> Iterator[Feature]:
 def _matches(run: RunFolder, srs_id: int) -> Iterator[Feature]:
     """A feature for each control point that was tried in a frame."""
     for number, m in enumerate(run.matches, start=1):
-        lon, lat, radius = _place(m.cp_position_m)
+        lon, lat = _place(m.cp_position_m, run.attitude.body)
+        radius = float(latlon_from_xyz(m.cp_position_m)[2])
         residual = (None, None) if m.residual_px is None else map(float, m.residual_px)
         numbers = m.score, *residual, m.sun_elevation_deg
         known = (None if v is None else unknown_as_none(v) for v in numbers)

@@ -191,7 +191,7 @@ class FrameWorker:
         """What solves frames whose points were picked."""
         folder = self.folder
         how = self.given.settings.points.construction
-        return PickedFrames(folder.attitude, folder.settings.points, how)
+        return PickedFrames(folder.attitude, folder.settings.points.filled, how)
 
     def points_of(self, frame: Frame) -> Sequence[PickedPoint] | None:
         """The points picked in a frame's picture, which then lead; None: it is navigated without.

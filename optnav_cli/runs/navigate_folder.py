@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from catalog.bodies.body import is_body_file
 from catalog.errors import NothingToDoError, OutputError
@@ -27,7 +28,7 @@ from catalog.jobs.workspace import (
 )
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
-from optnav_cli.fix import MatchRow, Solution
+from optnav_cli.fix import MatchRow, Method, Solution
 from optnav_cli.frames.orbit_tables import ZENITH
 from optnav_cli.frames.picked_points import POINTS_CSV
 from optnav_cli.frames.run_settings import RUN_TOML
@@ -67,6 +68,7 @@ from optnav_cli.runs.zenith_file import zenith_rows
 log = logging.getLogger(__name__)
 
 KIND, STAGE = "run", "navigate"
+LENS_SHARE = 1e-3  # a focal length from a data sheet is seldom nearer
 # A worker process takes as long to start as about so many frames to navigate.
 MIN_FRAMES_A_WORKER = 8
 
@@ -142,6 +144,22 @@ def navigate_folder(
     return solutions
 
 
+def _distance_m(row: Solution) -> float:
+    """How far the camera is from its picked points, on average."""
+    places = np.array([match.cp_position_m for match in row.evidence.matches])
+    return float(np.linalg.norm(places - row.position_m, axis=1).mean())
+
+
+def _exact_lens_words(camera: str, distances_m: list[float]) -> str:
+    """What an error of a focal length that counts as exact would do to picked points' positions."""
+    low, high = (LENS_SHARE * value for value in (min(distances_m), max(distances_m)))
+    shown = f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} to {high:.3g}"
+    return (
+        f"camera '{camera}' states no focal_length_error, so its focal length counts as exact: an "
+        f"error of {LENS_SHARE:.1%} would move the positions by {shown} m along the line of sight"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class FlownSoFar:
     """How many frames of a descent are done, and what the next ones need of them."""
@@ -169,6 +187,7 @@ class _Run:
         copy_inputs(folder.path, folder.settings, place)
         (place / OVERLAYS).mkdir()
         rows: dict[int, Solution] = {}
+        sights: dict[str, list[float]] = {}
         names, relief = sorted(folder.cameras), worker.inputs.relief
         with Recording(place / RECORDING, folder.body, relief, names, self._about()) as recording:
             for number, row, record in self._in_time_order(progress):
@@ -185,15 +204,20 @@ class _Run:
                     log.warning("%s: %s", row.file, undrawn)
                 if record.details:
                     log.debug("%s: %s", row.file, record.details)
+                if row.method is Method.PICKED_POINTS and row.position_m is not None:
+                    sights.setdefault(frame.camera, []).append(_distance_m(row))
                 level = logging.DEBUG if row.solved else logging.WARNING
                 log.log(level, "%s", describe(row), extra=row.event(STAGE, record.seconds))
                 bare = replace(seen, matches=(), outline=None)
                 rows[number] = replace(row, outcome=replace(row.outcome, evidence=bare))
+        for name, distances in sights.items():
+            if folder.cameras[name].focal_length_error == 0.0:
+                log.warning("%s", _exact_lens_words(name, distances))
         solutions = [rows[number] for number in range(len(self._frames))]
         write_solutions(place / SOLUTION, solutions, folder.attitude)
-        sights = zenith_rows(folder, solutions)
-        if sights:
-            ZENITH.write(place / ZENITH_CSV, sights)
+        zenith = zenith_rows(folder, solutions)
+        if zenith:
+            ZENITH.write(place / ZENITH_CSV, zenith)
         write_matches(place / MATCHES, self._matches())
         if self._landmarks is not None:
             write_landmarks(place / LANDMARKS, self._landmarks, folder.attitude)

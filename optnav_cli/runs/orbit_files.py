@@ -8,6 +8,7 @@ import numpy as np
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError, NothingToDoError, UsageError
 from catalog.files import replacing_file, starts_with, write_output
+from catalog.geometry.ellipsoid import geodetic_from_xyz
 from catalog.geometry.rotations import rnb_axes
 from catalog.progress import Progress
 from optnav_cli.frames.orbit_tables import PICTURE_TIMES
@@ -70,20 +71,27 @@ def predict_orbit(
 
 
 def prediction_lines(path: OrbitPath, prediction: Prediction) -> list[str]:
-    """A table for people: place, height and stated errors, at most some rows of it."""
-    rows = prediction.rows
+    """A table for people: place, height and stated errors, at most some rows of it.
+
+    Latitude and height of a spheroid are geodetic.
+    """
+    rows, body = prediction.rows, path.orbit.body
     count = len(rows.times)
     shown = np.unique(np.linspace(0, count - 1, min(count, SHOWN_ROWS)).round().astype(int))
-    table = [("utc", "lat", "lon", "height", "sigma R", "N", "B"), ("", *"°°", "km", *"mmm")]
+    lat_name = "geodetic lat" if body.flattening else "lat"
+    table = [("utc", lat_name, "lon", "height", "sigma R", "N", "B"), ("", *"°°", "km", *"mmm")]
     lines = [tuple(map(str, line)) for line in table]
     for k in shown:
         time, state = float(rows.times[k]), rows.states[k]
         x, y, z = stated_turn(path.orbit.ephemeris, time) @ state[:3]
         latitude, longitude = np.degrees([np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)])
+        height_m = path.height_m(time, state)
+        if body.flattening:
+            lat, _, above = geodetic_from_xyz((x, y, z), body.radii_m)
+            latitude, height_m = np.degrees(lat), float(above)
         axes = rnb_axes(state[:3], state[3:])
         sigmas = np.sqrt(np.diag(axes @ rows.covariances[k][:3, :3] @ axes.T))
-        height = f"{path.height_m(time, state) / 1e3:.3f}"
-        place = f"{latitude:.4f}", f"{longitude:.4f}", height
+        place = f"{latitude:.4f}", f"{longitude:.4f}", f"{height_m / 1e3:.3f}"
         lines.append((utc_from_tdb_s(time, 3), *place, *(f"{s:.1f}" for s in sigmas)))
     return table_lines(lines, left=(0,))
 

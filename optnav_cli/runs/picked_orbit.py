@@ -32,7 +32,7 @@ def without_lens_error(run: RunFolder) -> list[Solution]:
     if not (run.path / POINTS_CSV).exists():
         return run.solutions
     folder = read_folder(run.path)
-    how = PickedFrames(folder.attitude, folder.settings.points, judges_lens=False)
+    how = PickedFrames(folder.attitude, folder.settings.points.filled, judges_lens=False)
     frames = {frame.file: frame for frame in folder.frames}
     found = []
     for row in run.solutions:

@@ -89,7 +89,8 @@ def write_picked(
     """A folder without pictures. prior: x_m,y_m,z_m,position_sigma_m of all frames."""
     (folder / "cameras").mkdir(parents=True, exist_ok=True)
     (folder / "cameras" / f"{made.camera.name}.toml").write_text(camera_toml(made.camera))
-    text = f'body = "{made.body.name}"\nattitude = "camera_from_body"\n{more}'
+    stated = '[points]\nlatitude = "planetocentric"\nheight = "sphere"\n'  # as `rows_of` has them
+    text = f'body = "{made.body.name}"\nattitude = "camera_from_body"\n{more or stated}'
     (folder / "run.toml").write_text(text)
     frames = ["file,utc,camera,x_m,y_m,z_m,position_sigma_m"]
     frames += [f"{file},2024-06-01T10:00:00Z,{made.camera.name},{prior or ',,,'}" for file in files]

@@ -1,6 +1,6 @@
 """Picked points as measurements of a pose and of what the lens is off by."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -9,6 +9,7 @@ from catalog.arrays import BoolArray, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.least_squares import Linearisation, linearised
 from optnav_cli.estimation.models.points import Pose, ProjectingCamera, Sightings, predict
+from optnav_cli.fix import LensEstimate
 from optnav_cli.reasons import ReasonCode
 
 
@@ -132,6 +133,19 @@ def lens_numbers(state: LensPose, lens: LensPrior) -> FloatArray:
     """(k,) as `LensPrior.sigmas`."""
     shift = list(state.shift_px) if lens.centre_px > 0.0 else []
     return np.array([state.focal] * (lens.focal > 0.0) + shift)
+
+
+def estimated_lens(state: LensPose, sigmas: FloatArray, lens: LensPrior) -> LensEstimate | None:
+    """The lens of a state with sigmas (k,) as `LensPrior.sigmas`; None for an exact one."""
+    if not sigmas.size:
+        return None
+    estimated = LensEstimate()
+    if lens.focal > 0.0:
+        estimated = LensEstimate(1.0 + state.focal, float(sigmas[0]))
+    if not lens.centre_px > 0.0:
+        return estimated
+    (x, y), (sigma_x, sigma_y) = state.shift_px.tolist(), sigmas[-2:].tolist()
+    return replace(estimated, shift_px=(x, y), shift_sigma_px=(sigma_x, sigma_y))
 
 
 def moved_with_lens(state: LensPose, step: FloatArray, lens: LensPrior) -> LensPose:

@@ -1,9 +1,16 @@
 """The reference ellipsoid and the plane that touches it."""
 
 import numpy as np
+import pyproj
 import pytest
 
-from catalog.geometry.ellipsoid import foot_of, height_above, normal_at, surface_at
+from catalog.geometry.ellipsoid import (
+    foot_of,
+    geodetic_from_xyz,
+    height_above,
+    normal_at,
+    surface_at,
+)
 from catalog.geometry.projection import TangentPlane
 
 PHOBOS = np.array([13.0e3, 11.4e3, 9.1e3])
@@ -94,3 +101,30 @@ def test_a_tangent_planes_axes_point_east_and_north() -> None:
     assert lon[1] > lon[0]
     assert lat[2] > lat[0]
     assert abs(plane.body_from_local[2, 0]) < 1e-12  # east is level with the equator
+
+
+@pytest.mark.parametrize(
+    "radii", [(6378137.0, 6378137.0, 6356752.314245), (71492e3, 71492e3, 66854e3)]
+)
+def test_geodetic_coordinates_are_those_of_pyproj(radii):
+    rng = np.random.default_rng(3)
+    lat, lon = rng.uniform(-90.0, 90.0, 200), rng.uniform(-180.0, 180.0, 200)
+    height = rng.uniform(-1e4, 1e6, 200)
+    lat[:3], height[3:6] = (90.0, -90.0, 0.0), (0.0, 4e7, 4e8)
+    wanted = lat, lon, height
+    a, _, c = radii
+    ellipsoid = {"a": a, "b": c, "type": "crs"}
+    there = pyproj.Transformer.from_crs(
+        {"proj": "longlat", **ellipsoid}, {"proj": "geocent", **ellipsoid}, always_xy=True
+    )
+    xyz = np.column_stack(there.transform(lon, lat, height))
+    found_lat, found_lon, found_height = geodetic_from_xyz(xyz, radii)
+    np.testing.assert_allclose(np.degrees(found_lat), wanted[0], atol=1e-10)
+    np.testing.assert_allclose(np.degrees(found_lon[2:]), wanted[1][2:], atol=1e-10)
+    np.testing.assert_allclose(found_height, wanted[2], atol=1e-5)
+
+
+def test_geodetic_coordinates_near_the_centre_are_unknown():
+    found = geodetic_from_xyz([(1.0, 0.0, 0.0), (0.0, 0.0, 0.0), (7e6, 0.0, 0.0)], (6e6, 6e6, 5e6))
+    assert np.isnan(found[0]).tolist() == [True, True, False]
+    assert found[2][2] == pytest.approx(1e6)
