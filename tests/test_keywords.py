@@ -16,6 +16,7 @@ from catalog.keywords import Keyword, Keywords, check_keywords
 READERS: tuple[str, ...] = (
     "catalog.bodies.daf",
     "catalog.terrain.dem.label_keywords",
+    "optnav_cli.frames.isis_keywords",
     "optnav_cli.orbit.oem_reader",
 )
 

@@ -26,7 +26,7 @@ from catalog.errors import ConfigError, DataError
 from catalog.geometry.vectors import unit
 from optnav_cli.frames.archive_label import ArchiveLabel, LabelFormat
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.isis_cube import CubePose
+from optnav_cli.frames.isis_cube import CubePose, middle_utc
 from optnav_cli.frames.label_geometry import (
     AttitudeKeys,
     TimeKeys,
@@ -51,6 +51,7 @@ NO_LIGHT_TIME = (
 Degrees = Annotated[float, msgspec.Meta(gt=0.0, le=180.0)]
 Sigma = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
 Nine = tuple[float, float, float, float, float, float, float, float, float]
+NINE_IDENTITY: Nine = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 class SpiceKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -89,7 +90,7 @@ class ImportTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     body: str = ""
     target: str = ""
     picture: str = ""
-    camera_from_frame: Nine = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    camera_from_frame: Nine = NINE_IDENTITY
     time: TimeKeys = TimeKeys()
     attitude: AttitudeKeys = AttitudeKeys()
     position: VectorKeys | None = None
@@ -163,8 +164,13 @@ class FrameMaker:
         )
         return self._frame(label.path, file, (utc, tdb_s), camera_from_body, position, sun)
 
-    def of_cube(self, path: Path, pose: CubePose, file: str) -> Frame:
-        """The frame that the tables of an ISIS cube describe. Raises DataError."""
+    def of_cube(
+        self, path: Path, pose: CubePose, file: str, camera_from_isis: Rotation | None = None
+    ) -> Frame:
+        """The frame that the tables of an ISIS cube describe. Raises DataError.
+
+        camera_from_isis  by the cube's own label; None: the table's camera_from_frame
+        """
         theory = Rotation.from_matrix(self.motion.body_from_inertial(pose.tdb_s))
         apart = float(np.degrees((theory * pose.body_from_inertial.inv()).magnitude()))
         if apart > MAX_APART_DEG:
@@ -172,8 +178,8 @@ class FrameMaker:
                 f"{path}: its body rotation is {apart:.3g} deg from that of the body "
                 f"{self.motion.body.name}; name the body that it shows (--body)"
             )
-        attitude = self.table.rotation * pose.isis_from_body
-        time = (pose.utc + "Z", pose.tdb_s)
+        attitude = (camera_from_isis or self.table.rotation) * pose.isis_from_body
+        time = (middle_utc(pose), pose.tdb_s)
         return self._frame(path, file, time, attitude, pose.position_m, pose.sun_body)
 
     def of_time(self, path: Path, file: str, utc: str) -> Frame:

@@ -9,7 +9,8 @@ SunPosition         Sun minus centre of the body, J2000 axes, km; light time and
 InstrumentPointing  quaternion, scalar first, of the rotation taking J2000 vectors to the camera
 BodyRotation        the same for the body, followed by the label's ConstantRotation
 
-A table of a framing camera has one record; line scanners, which have many, are refused.
+A table of a framing camera has one record; more are interpolated to the middle of the exposure, or
+hold the terms of polynomials. Line scanners, whose tables span more than an exposure, are refused.
 """
 
 import json
@@ -19,9 +20,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation, Slerp
 
 from catalog.arrays import FloatArray
+from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.inputs import check_input
 from catalog.rasters import open_raster, reading_raster
@@ -29,6 +32,17 @@ from catalog.rasters import open_raster, reading_raster
 Label = dict[str, Any]  # a block: values, lists of values, and blocks, by name
 
 MAX_NUMBER = 1e15  # of km, of seconds
+MAX_RECORDS = 100_000
+UTC_SECONDS_SINCE = -8.8e8  # TDB s of 1972, to some days: since then UTC is whole seconds from TAI
+SAME_S = 5e-4  # half of the last digit of times in frames.csv
+# Tables of a framing camera reach over its exposure and a little more; those of line scanners over
+# all their lines, thousands of exposures.
+MAX_EXPOSURES, MAX_MARGIN_S = 3.0, 0.1
+MAX_APART_S = 600.0  # longest exposures, and clocks that StartTime was made by
+_SECONDS = {
+    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "msec", "millisec", "millisecond", "milliseconds"), 1e-3),
+}
 _TYPES = {"Double": "f8", "Real": "f4", "Integer": "i4"}
 
 
@@ -44,6 +58,8 @@ class CubePose:
                         whose boresight may be -z and whose x need not point right
     sun_body            (3,) unit vector to the Sun, body frame
     body_from_inertial  orientation of the body that the tables use
+    position_quality    what spiceinit calls the orbit: "reconstructed", "predicted", or nothing
+    pointing_quality    the same of the attitude; "nadir" where it is none
     """
 
     utc: str
@@ -53,6 +69,8 @@ class CubePose:
     isis_from_body: Rotation
     sun_body: FloatArray
     body_from_inertial: Rotation
+    position_quality: str = ""
+    pointing_quality: str = ""
 
 
 def read_cube_pose(path: str | Path) -> CubePose:
@@ -62,19 +80,22 @@ def read_cube_pose(path: str | Path) -> CubePose:
     """
     path = Path(path)
     label = read_cube_label(path)
+    cube = label.get("IsisCube", {})
+    instrument, kernels = cube.get("Instrument", {}), cube.get("Kernels", {})
+    utc = str(instrument.get("StartTime", ""))
     try:
-        body_from_inertial = _rotation(path, label, "BodyRotation")
-        isis_from_inertial = _rotation(path, label, "InstrumentPointing")
-        axes = ("J2000X", "J2000Y", "J2000Z")
-        position = _fields(path, label, "InstrumentPosition", axes)
-        velocity = _fields(path, label, "InstrumentPosition", [f"{axis}V" for axis in axes])
-        sun = _fields(path, label, "SunPosition", axes)
-        utc = str(label.get("IsisCube", {}).get("Instrument", {}).get("StartTime", ""))
-        tdb_s = float(_fields(path, label, "InstrumentPosition", ["ET"])[0])
+        rotations = _read_table(path, label, "BodyRotation")
+        positions = _read_table(path, label, "InstrumentPosition")
+        tdb_s = _middle(positions, utc, instrument)
+        body_from_inertial = _rotation(rotations, tdb_s)
+        isis_from_inertial = _rotation(_read_table(path, label, "InstrumentPointing"), tdb_s)
+        position, velocity = _states(positions, tdb_s)
+        sun, _ = _states(_read_table(path, label, "SunPosition"), tdb_s)
     except DataError as error:
         raise DataError(
             f"{path}: {error}; run spiceinit on the cube and attach its tables"
         ) from None
+    _check_time(path, utc, tdb_s)
     return CubePose(
         utc=utc,
         tdb_s=tdb_s,
@@ -83,7 +104,20 @@ def read_cube_pose(path: str | Path) -> CubePose:
         isis_from_body=isis_from_inertial * body_from_inertial.inv(),
         sun_body=body_from_inertial.apply(sun / np.linalg.norm(sun)),
         body_from_inertial=body_from_inertial,
+        position_quality=str(kernels.get("InstrumentPositionQuality", "")).lower(),
+        pointing_quality=str(kernels.get("InstrumentPointingQuality", "")).lower(),
     )
+
+
+def middle_utc(pose: CubePose) -> str:
+    """UTC of the middle of the exposure, ending in Z.
+
+    Before 1972, where the toolkit that made the tables rounds UTC to whole seconds, and where both
+    agree, it is the label's StartTime.
+    """
+    if pose.tdb_s < UTC_SECONDS_SINCE or abs(pose.tdb_s - utc_to_tdb_s(pose.utc)) < SAME_S:
+        return pose.utc + "Z"
+    return utc_from_tdb_s(pose.tdb_s, 3)
 
 
 def read_cube_label(path: str | Path) -> Label:
@@ -103,8 +137,23 @@ def read_cube_label(path: str | Path) -> Label:
     return label
 
 
-def _fields(path: Path, label: Label, name: str, wanted: Sequence[str]) -> FloatArray:
-    """Some fields of the one record of a binary table."""
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """A binary table: its name, its label and its columns (n,) by the names of their fields."""
+
+    name: str
+    label: Label
+    columns: dict[str, FloatArray]
+
+    def rows(self, fields: Sequence[str]) -> FloatArray:
+        """Columns of some fields, (n, fields)."""
+        try:
+            return np.column_stack([self.columns[field] for field in fields])
+        except KeyError as error:
+            raise DataError(f"its table {self.name} has no field {error}") from None
+
+
+def _read_table(path: Path, label: Label, name: str) -> _Table:
     table = label.get(f"Table_{name}")
     if not isinstance(table, dict):
         raise DataError(f"it has no table {name}")
@@ -118,31 +167,116 @@ def _fields(path: Path, label: Label, name: str, wanted: Sequence[str]) -> Float
         numbers = False
     if not numbers:
         raise DataError(f"its table {name} has a field that is no number, or lacks a description")
-    if records != 1:
-        raise DataError(f"its table {name} has {records} records; wanted 1")
+    if not 0 < records <= MAX_RECORDS:
+        raise DataError(f"its table {name} has {records} records; wanted 1 to {MAX_RECORDS}")
+    by_bytes, left = divmod(length, layout.itemsize)
+    if left == 0 and by_bytes != records:
+        raise DataError(
+            f"its table {name} has {records} records; wanted {by_bytes} in its {length} bytes"
+        )
+    size = layout.itemsize * records
     with path.open("rb") as file:
-        file.seek(start - 1)
-        raw = file.read(layout.itemsize)
-    if len(raw) < layout.itemsize or length != layout.itemsize:
+        file.seek(max(start - 1, 0))
+        raw = file.read(size)
+    if start < 1 or len(raw) < size or length != size:
         raise DataError(f"its table {name} is cut short")
-    values = np.frombuffer(raw, layout)[0]
-    record = {field: float(values[field]) for field in layout.names or ()}
-    if not (np.abs(list(record.values())) < MAX_NUMBER).all():
+    values = np.frombuffer(raw, layout)
+    columns = {field: values[field].astype(np.float64) for field in layout.names or ()}
+    if not all((np.abs(column) < MAX_NUMBER).all() for column in columns.values()):
         raise DataError(f"its table {name} holds values that are not finite, or of no use")
-    try:
-        return np.array([record[field] for field in wanted])
-    except KeyError as error:
-        raise DataError(f"its table {name} has no field {error}") from None
+    return _Table(name, table, columns)
 
 
-def _rotation(path: Path, label: Label, name: str) -> Rotation:
-    """Rotation from J2000: the table's quaternion, then the constant part of the label."""
-    quaternion = _fields(path, label, name, [f"J2000Q{part}" for part in range(4)])
+def _middle(table: _Table, utc: str, instrument: Label) -> float:
+    """The middle of the exposure, TDB s: the time of the one record, or by the label."""
+    times = table.columns.get("ET", np.zeros(0))
+    if times.size == 1:
+        return float(times[0])
+    exposure_s = _exposure_s(instrument)
+    spans = np.ptp(times) if times.size else 0.0
+    if exposure_s is None or spans > MAX_EXPOSURES * exposure_s + MAX_MARGIN_S:
+        shown = (
+            "an exposure that is not stated" if exposure_s is None else f"one of {exposure_s:g} s"
+        )
+        raise DataError(
+            f"its table {table.name} spans {spans:g} s over {shown}: a line scanner or push frame "
+            "camera, whose lines have a pose each; wanted a framing camera"
+        )
+    return utc_to_tdb_s(utc) + 0.5 * exposure_s
+
+
+def _exposure_s(instrument: Label) -> float | None:
+    """The exposure time of the label, s; None where it or its unit is not stated."""
+    stated = instrument.get("ExposureDuration")
+    if not isinstance(stated, dict) or not isinstance(stated.get("value"), int | float):
+        return None
+    scale = _SECONDS.get(str(stated.get("unit", "")).lower())
+    return None if scale is None else float(stated["value"]) * scale
+
+
+def _check_time(path: Path, utc: str, tdb_s: float) -> None:
+    """Refuse tables of another picture."""
     try:
-        rotation = Rotation.from_quat(quaternion, scalar_first=True)
-    except ValueError:
-        raise DataError(f"its table {name} holds a quaternion of zero length") from None
-    constant = label[f"Table_{name}"].get("ConstantRotation")
+        apart = tdb_s - utc_to_tdb_s(utc)
+    except DataError as error:
+        raise DataError(f"{path}: its StartTime: {error}") from None
+    if not abs(apart) < MAX_APART_S:
+        raise DataError(
+            f"{path}: its tables are of {apart:.6g} s after its StartTime {utc}; run spiceinit "
+            "on the cube anew"
+        )
+
+
+def _polynomials(table: _Table, fields: Sequence[str], tdb_s: float) -> FloatArray:
+    """Polynomials whose terms are the records but the last, which has their origin and scale."""
+    rows = table.rows(fields)
+    origin, scale, degree = rows[-1]
+    if degree != len(rows) - 2 or not scale > 0.0:
+        raise DataError(
+            f"its table {table.name} has {len(rows) - 1} terms of polynomials of degree {degree:g}"
+        )
+    values: FloatArray = np.polynomial.polynomial.polyval((tdb_s - origin) / scale, rows[:-1])
+    return values
+
+
+def _increasing(table: _Table, tdb_s: float) -> FloatArray:
+    times = table.rows(["ET"])[:, 0]
+    if not (np.diff(times) > 0.0).all() or not times[0] <= tdb_s <= times[-1]:
+        raise DataError(
+            f"its table {table.name} reaches from {times[0]:.3f} to {times[-1]:.3f} s, not to the "
+            f"middle of the exposure at {tdb_s:.3f} s"
+        )
+    return times
+
+
+def _states(table: _Table, tdb_s: float) -> tuple[FloatArray, FloatArray]:
+    """Position (3,), km, and velocity (3,), km/s, zero where the table has none."""
+    axes = ["J2000X", "J2000Y", "J2000Z"]
+    if "J2000SVX" in table.columns:
+        return _polynomials(table, [f"J2000SV{axis}" for axis in "XYZ"], tdb_s), np.zeros(3)
+    positions = table.rows(axes)
+    speeds = [f"{axis}V" for axis in axes]
+    velocities = table.rows(speeds) if speeds[0] in table.columns else None
+    if len(positions) == 1:
+        return positions[0], np.zeros(3) if velocities is None else velocities[0]
+    times, kind = _increasing(table, tdb_s), str(table.label.get("CacheType", "Linear")).lower()
+    if velocities is not None and kind == "hermitespline":
+        spline = CubicHermiteSpline(times, positions, velocities)
+        return spline(tdb_s), spline(tdb_s, 1)
+    if kind != "linear":
+        raise DataError(f"its table {table.name} states CacheType = {kind}; wanted Linear")
+    velocity = np.zeros(3) if velocities is None else _at(times, velocities, tdb_s)
+    return _at(times, positions, tdb_s), velocity
+
+
+def _at(times: FloatArray, rows: FloatArray, tdb_s: float) -> FloatArray:
+    return np.array([np.interp(tdb_s, times, column) for column in rows.T])
+
+
+def _rotation(table: _Table, tdb_s: float) -> Rotation:
+    """Rotation from J2000 by the table, then the constant part of the label."""
+    rotation = _varying_rotation(table, tdb_s)
+    constant, name = table.label.get("ConstantRotation"), table.name
     if constant is None:
         return rotation
     if np.shape(constant) != (9,) or not all(isinstance(part, int | float) for part in constant):
@@ -151,3 +285,19 @@ def _rotation(path: Path, label: Label, name: str) -> Rotation:
     if not np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6 or np.linalg.det(matrix) < 0.0:
         raise DataError(f"its table {name} has a ConstantRotation that is no rotation")
     return Rotation.from_matrix(matrix) * rotation
+
+
+def _varying_rotation(table: _Table, tdb_s: float) -> Rotation:
+    """Rotation by quaternions, or by polynomials of the three angles about z, x and z."""
+    if "J2000Ang1" in table.columns:
+        angles = _polynomials(table, [f"J2000Ang{part}" for part in (1, 2, 3)], tdb_s)
+        # axes turn by the first angle first: vectors turn the other way
+        return Rotation.from_euler("zxz", -angles)
+    quaternions = table.rows([f"J2000Q{part}" for part in range(4)])
+    try:
+        rotations = Rotation.from_quat(quaternions, scalar_first=True)
+    except ValueError:
+        raise DataError(f"its table {table.name} holds a quaternion of zero length") from None
+    if len(quaternions) == 1:
+        return rotations[0]
+    return Slerp(_increasing(table, tdb_s), rotations)(tdb_s)

@@ -24,11 +24,13 @@ from catalog.places import check_apart
 from catalog.rasters import PICTURES, open_raster, reading_raster
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
-from optnav_cli.frames.archive_frame import FrameMaker, ImportTable, load_table
+from optnav_cli.frames.archive_frame import NINE_IDENTITY, FrameMaker, ImportTable, load_table
 from optnav_cli.frames.archive_label import ArchiveLabel, fits_picture, format_of, read_label
+from optnav_cli.frames.archive_target import body_of_target
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.isis_cube import Label, read_cube_label, read_cube_pose
+from optnav_cli.frames.isis_camera import CubeCamera, crop_camera, read_cube_camera
+from optnav_cli.frames.isis_cube import CubePose, Label, read_cube_label, read_cube_pose
 from optnav_cli.frames.label_geometry import VectorKeys, unstated_keys
 from optnav_cli.frames.pds3_picture import read_pds3_pixels
 from optnav_cli.frames.run_settings import RunSettings
@@ -40,6 +42,10 @@ TABLES = "configs/imports"
 COPIED = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm")
 # Brightness as I/F is far below 1, where a navigator that thinks in counts sees nothing.
 HIGHEST = 60_000.0
+NO_TRANSX = (
+    "how the picture lies in its camera's frame: no TRANSX in the label, x is taken to the right, "
+    "y downwards, z along the boresight"
+)
 NO_VALUE = -1e30  # what ISIS and PDS write for pixels without a value is below
 
 
@@ -166,28 +172,40 @@ class _Importer:
         where, table = self._table(source)
         motion = self._motion_of(source, where, table)
         named = self._options.camera
-        camera = _camera(named or table.camera, Path() if named else where.parent, source)
+        pose, shot = _read_cube(source, table)
+        if shot is not None and not (named or table.camera):
+            camera = shot.camera
+        else:
+            camera = _camera(named or table.camera, Path() if named else where.parent, source)
         picture = own_picture or _picture_path(source, table)
-        camera = _cropped(camera, source, picture)
+        upside_down = shot is not None and shot.upside_down
+        if source.cube is not None and picture == source.path:
+            camera = crop_camera(picture, source.cube, camera, upside_down)
         known = self._cameras.setdefault(camera.name, camera)
         if known != camera:  # another part of the same camera's picture
             camera = replace(camera, name=f"{camera.name}_{len(self._cameras)}")
         maker = FrameMaker(table, camera.name, motion, self._kernels)
-        file = picture.name if picture.suffix.lower() in COPIED else f"{picture.stem}.tif"
+        copied = picture.suffix.lower() in COPIED and not upside_down
+        file = picture.name if copied else f"{picture.stem}.tif"
         if file in self._frames:
             raise DataError(f"{picture}: a picture of this name is there already; rename one")
         if source.label is not None:
             frame = maker.of_label(source.label, file)
-        elif source.cube is not None:
-            frame = maker.of_cube(source.path, read_cube_pose(source.path), file)
+        elif pose is not None:
+            turn = None if shot is None else shot.camera_from_isis
+            frame = maker.of_cube(source.path, pose, file, turn)
         else:
             _check_row_time(source)
             frame = maker.of_time(source.path, file, source.utc)
-        without = _put_picture(source, picture, camera, self._place / file)
+        without = _put_picture(source, picture, camera, self._place / file, upside_down)
         self._cameras[camera.name] = camera
         self._frames[file] = frame
         self._note(table, frame, camera, source.label)
         self._notes |= maker.notes
+        if shot is not None:
+            self._notes |= dict.fromkeys(shot.notes)
+        elif pose is not None and table.camera_from_frame == NINE_IDENTITY:
+            self._notes[NO_TRANSX] = None
         if without:
             self._notes[f"{file}: {without} pixels have no value and are 0"] = None
 
@@ -248,8 +266,8 @@ class _Importer:
         """How the one body of the folder turns; a label of another one is refused."""
         target = source.text(table.target).lower() if table.target else ""
         shipped = resource("configs/bodies/moon.toml").parent.glob("*.toml")
-        of_target = (path.stem for path in sorted(shipped) if path.stem in target)
-        name = self._options.body or table.body or next(of_target, "")
+        of_target = body_of_target(target, [path.stem for path in sorted(shipped)])
+        name = self._options.body or table.body or of_target
         if not name:
             raise DataError(f"{source.path}: no body is named; name it with --body")
         if is_body_file(name) and not self._options.body:
@@ -257,7 +275,7 @@ class _Importer:
         if self._body is None:
             self._body = name, motion_of(load_body(name), self._options.kernels)
         folder, motion = self._body
-        if name != folder or (target and motion.body.name not in target):
+        if name != folder or (target and not body_of_target(target, [motion.body.name])):
             shown = target.upper() or name
             raise DataError(
                 f"{source.path}: shows {shown} by its label, not {motion.body.name}; import it "
@@ -317,7 +335,23 @@ def _check_row_time(source: _Source) -> None:
         raise DataError(f"{source.where}: {error}") from None
 
 
+def _read_cube(source: _Source, table: ImportTable) -> tuple[CubePose | None, CubeCamera | None]:
+    """Pose and camera of a cube; no camera where the table says how the picture lies."""
+    if source.cube is None:
+        return None, None
+    pose = read_cube_pose(source.path)
+    if table.camera_from_frame != NINE_IDENTITY:
+        return pose, None
+    body_isis = -pose.isis_from_body.apply(pose.position_m)
+    return pose, read_cube_camera(source.path, source.cube, body_isis)
+
+
 def _camera(name: str, beside: Path, source: _Source) -> Camera:
+    if not name and source.cube is not None:
+        raise DataError(
+            f"{source.path}: its label has no NaifKeywords with a focal length, as spiceinit "
+            "writes them since 2011; run it anew, or name the camera with --camera"
+        )
     if not name:
         raise DataError(f"{source.path}: no camera is known for it; name one with --camera")
     if is_body_file(name):
@@ -333,43 +367,11 @@ def _picture_path(source: _Source, table: ImportTable) -> Path:
     return source.path
 
 
-def _cropped(camera: Camera, source: _Source, picture: Path) -> Camera:
-    """The camera of a cube that is a part of the camera's picture, enlarged or reduced."""
-    alpha = (source.cube or {}).get("IsisCube", {}).get("AlphaCube")
-    if picture != source.path or not isinstance(alpha, dict):
-        return camera
-    try:
-        whole = np.array([alpha["AlphaSamples"], alpha["AlphaLines"]], float)
-        # ISIS counts pixels from 1 at their middle: 0.5 is the picture's edge
-        start = np.array([alpha["AlphaStartingSample"], alpha["AlphaStartingLine"]], float) - 0.5
-        end = np.array([alpha["AlphaEndingSample"], alpha["AlphaEndingLine"]], float) - 0.5
-        size = np.array([alpha["BetaSamples"], alpha["BetaLines"]], int)
-    except (KeyError, TypeError, ValueError):
-        raise DataError(f"{source.path}: its AlphaCube group is damaged") from None
-    step = (end - start) / size  # pixels of the whole a pixel of the cube
-    scale = whole / (camera.width_px, camera.height_px) / step
-    if not (np.isfinite(scale).all() and (scale > 0.0).all() and (size > 0).all()):
-        raise DataError(f"{source.path}: its AlphaCube group is damaged")
-    point = (np.array(camera.principal_point_px) + 0.5) * scale - start / step - 0.5
-    along_y = camera.focal_length_px * camera.aspect * float(scale[1])
-    along_x = camera.focal_length_px * float(scale[0])
-    return replace(
-        camera,
-        name=f"{camera.name}_crop",
-        width_px=int(size[0]),
-        height_px=int(size[1]),
-        focal_length_px=along_x,
-        focal_length_y_px=None if abs(along_y / along_x - 1.0) < 1e-6 else along_y,
-        principal_point_px=(float(point[0]), float(point[1])),
-        pixel_pitch_um=None,
-        psf_sigma_px=None,
-        psf_error_px=None,
-    )
-
-
-def _put_picture(source: _Source, picture: Path, camera: Camera, place: Path) -> int:
+def _put_picture(
+    source: _Source, picture: Path, camera: Camera, place: Path, upside_down: bool
+) -> int:
     """Put a picture into the folder, as it is or as a TIFF; how many pixels have no value."""
-    if picture.suffix.lower() in COPIED:
+    if picture.suffix.lower() in COPIED and not upside_down:
         _check_size(picture, camera, *_raster(picture, shape_only=True).shape)
         shutil.copyfile(picture, place)
         return 0
@@ -378,6 +380,7 @@ def _put_picture(source: _Source, picture: Path, camera: Camera, place: Path) ->
         values: NDArray[np.generic] = fits_picture(label)
     else:
         values = _archive_raster(source, picture)
+    values = values[::-1] if upside_down else values
     _check_size(picture, camera, *values.shape)
     with np.errstate(invalid="ignore"):  # of what is no number
         numbers = values.astype(np.float64)
