@@ -14,6 +14,7 @@ from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.errors import DataError, NothingToDoError
 from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import xyz_from_latlon
+from catalog.terrain.dem.height_sample import HeightSample
 from catalog.terrain.dem.source import DemSource
 
 DANGEROUS_DEG, CRITICAL_DEG = 7.0, 15.0
@@ -156,7 +157,8 @@ def dem_slopes(source: DemSource, base_m: float = BASE_M) -> Iterator[tuple[int,
     """First row and slopes (rows, cols), deg, NaN for none, of one strip after another.
 
     The size of a pixel is found on the body's sphere at each place of the map.
-    Raises DataError for a base that is no small part of the model, or a model too wide to be held.
+    Raises DataError for a base that is no small part of the model, a model too wide to be held and,
+    after the last strip, heights that the body cannot have.
     """
     rows, cols = source.shape
     if cols > MAX_COLUMNS:
@@ -169,16 +171,24 @@ def dem_slopes(source: DemSource, base_m: float = BASE_M) -> Iterator[tuple[int,
             f"{source.path}: is {source.posting_m * min(rows, cols):.6g} m across; a base of "
             f"{base_m:g} m is more than half of it: name a shorter --base-m"
         )
-    many = max(1, STRIP_PIXELS // cols)
+    many, sample = max(1, STRIP_PIXELS // cols), HeightSample(source.shape)
+    lowest, highest = np.inf, -np.inf
     for top in range(0, rows, many):
         bottom = min(top + many, rows)
         sizes = pixel_sizes(source, np.arange(top, bottom))
         reach = 1 + math.ceil(0.5 * base_m / float(sizes[1].min()))
         first, last = max(top - reach, 0), min(bottom + reach, rows)
         heights = source.read_window(first, 0, last - first, cols)
+        known = heights[np.isfinite(heights)]
+        lowest = min(lowest, float(known.min(initial=np.inf)))
+        highest = max(highest, float(known.max(initial=-np.inf)))
+        sample.add(heights[top - first : bottom - first])
         wider = pixel_sizes(source, np.arange(first, last))
         slopes = slope_degrees(slope_components(heights, *wider, base_m))
         yield top, slopes[top - first : bottom - first]
+    if lowest <= highest:
+        source.check_sample(sample.heights)
+        source.check_heights(lowest, highest)
 
 
 def summarize(source: DemSource, base_m: float = BASE_M) -> tuple[SlopeSummary, Float32Array]:

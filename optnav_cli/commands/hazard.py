@@ -22,13 +22,25 @@ METRES = Number(0.1, 1e5)
     help="Distance over which the ground rises; at least two postings are taken.",
 )
 @click.option("--body", default="moon", show_default=True, help="Whose ground it is.")
+@click.option(
+    "--nodata",
+    type=Number(-1e300, 1e300),
+    help="Stored value of pixels without data; one that is not there: all are ground.",
+)
 @output_option(
     "The slopes: .tif (degrees, on the model's coordinate system) or .png (map and histogram).",
     (".tif", ".png"),
     required=False,
 )
 @json_option
-def slopes(dem: Path, base_m: float, body: str, output: Path | None, as_json: bool) -> None:
+def slopes(
+    dem: Path,
+    base_m: float,
+    body: str,
+    nodata: float | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
     """Print the shares of the terrain model DEM above 7 deg and above 15 deg, and its rms slope.
 
     DEM is a raster of heights, or `bundled:NAME` for one that ships with optnav. Shares are of the
@@ -43,7 +55,7 @@ def slopes(dem: Path, base_m: float, body: str, output: Path | None, as_json: bo
     from optnav_cli.runs.slope_files import measure_slopes
 
     announce_compilation()
-    found = measure_slopes(dem, base_m, body, output)
+    found = measure_slopes(dem, base_m, body, output, nodata)
     if as_json:
         click.echo(json_text(found.figures()))
     else:

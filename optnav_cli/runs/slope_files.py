@@ -63,16 +63,21 @@ class MeasuredSlopes:
 
 
 def measure_slopes(
-    dem: Path, base_m: float, body: str, output: Path | None = None
+    dem: Path,
+    base_m: float,
+    body: str,
+    output: Path | None = None,
+    nodata: float | None = None,
 ) -> MeasuredSlopes:
     """Measure the slopes of a terrain model, and write them to a .tif or .png where one is named.
 
+    nodata  the stored value of pixels without data; None: as the file says
     Raises DataError for a model that cannot be used, OutputError for the place.
     """
     if output is not None:
         check_file(output, starts_with(PNG) if output.suffix.lower() == ".png" else _is_ours)
         check_apart(output, [dem])
-    source = DemSource.open_alone(dem, load_body(body))
+    source = DemSource.open_alone(dem, load_body(body), nodata)
     try:
         summary, degrees = summarize(source, base_m)
         place = source.place

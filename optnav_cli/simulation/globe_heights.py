@@ -91,7 +91,7 @@ def read_globe(settings: DemSettings, body: Body) -> Float32Array:
     known = heights[np.isfinite(heights)]
     if not known.size:
         raise DataError(f"{source.path}: holds no height; name another [globe] model")
-    source.check_range(float(known.min()), float(known.max()))
+    source.check_window(heights)
     col, _ = source.pixel_from_latlon(np.array([0.0]), np.array([0.0]))
     heights = np.roll(heights, -round(float(col[0]) + 0.5), axis=1)
     filled = np.where(np.isfinite(heights), heights, np.nanmean(heights))

@@ -32,6 +32,7 @@ from catalog.terrain.dem.file import (
     place_of,
 )
 from catalog.terrain.dem.georeference import Georeference, column_spans
+from catalog.terrain.dem.height_sample import HeightSample, find_shared_end
 from catalog.terrain.dem.label import MapLabel, read_map_label
 from catalog.terrain.dem.validity import Validity, unused_bands
 
@@ -48,6 +49,7 @@ SUSPICIOUS_RELIEF_M = 25.0
 # less than this share of its radius; those of irregular bodies differ by more.
 MAX_DATUM_SHIFT = 5e-3
 MIN_DATUM_SHIFT_M = 0.01  # below it the shift is rounding of a radius, not worth a word
+ITSELF = "the file itself"  # the section of a file that a command line names
 MAX_WINDOW = 100_000_000  # heights that are read for places asked at once
 MARGIN = 4  # pixels about those places, for the interpolation
 
@@ -126,10 +128,10 @@ class DemSource:
             raise
 
     @classmethod
-    def open_alone(cls, path: Path, body: Body) -> "DemSource":
+    def open_alone(cls, path: Path, body: Body, nodata: float | None = None) -> "DemSource":
         """Open a file that a command line names: no section could state more of it; see `open`."""
-        settings = DemSettings(str(path))
-        return cls.open(settings, Path.cwd(), body, "the file itself", "check the path")
+        settings = DemSettings(str(path), nodata=nodata)
+        return cls.open(settings, Path.cwd(), body, ITSELF, "check the path")
 
     @classmethod
     def _read_header(
@@ -322,6 +324,7 @@ class DemSource:
                 "coarser model"
             )
         window = self.read_window(top, left, high, wide)
+        self.check_window(window)
         found[inside] = sample_bicubic(window, row[inside] - top, col[inside] - left)
         return found
 
@@ -354,6 +357,35 @@ class DemSource:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_dataset": None}
+
+    def check_sample(self, heights: Float32Array) -> None:
+        """Refuse heights (n,), m, in which one value stands for no data without a tag.
+
+        A `nodata` that the settings state settles it. Raises DataError with the value to state.
+        """
+        end = find_shared_end(heights, self.posting_m)
+        if end is None or self.settings.nodata is not None:
+            return
+        stored = (end.height - self.convert.offset_m) / self.convert.scale_m
+        told = f"{round(stored, 3 if abs(stored) < 1e6 else None):.10g}"
+        remedy = f"state nodata = {told} in {self.section}"
+        if self.section == ITSELF:
+            remedy = f"mark it: gdal_translate -a_nodata {told} (optnav slopes takes --nodata, too)"
+        raise DataError(
+            f"{self.path}: {end.share:.2g} of its pixels share the "
+            f"{'lowest' if end.lowest else 'highest'} height, {end.height:.6g} m, {end.gap:.6g} m "
+            f"{'below' if end.lowest else 'above'} all others; wanted ground: if it stands for no "
+            f"data, {remedy}; if it is ground, state another value as nodata"
+        )
+
+    def check_window(self, heights: Float32Array) -> None:
+        """Refuse a window of heights that cannot be this body's, as `check_sample` and more."""
+        sample = HeightSample(heights.shape)
+        sample.add(heights)
+        known = sample.heights
+        if known.size:
+            self.check_sample(known)
+            self.check_range(float(known.min()), float(known.max()))
 
     def check_heights(self, lowest: float, highest: float) -> None:
         """Refuse heights (m, of the whole file) that this body cannot have; name the likely cause.

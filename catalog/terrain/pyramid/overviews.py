@@ -26,6 +26,7 @@ from catalog.geometry.kernel import kernel
 from catalog.progress import Progress
 from catalog.rasters import OWN, gdal_reason, reopen_raster
 from catalog.terrain.dem.file import HEIGHTS, Conversion, is_height
+from catalog.terrain.dem.height_sample import HeightSample
 from catalog.terrain.dem.source import DemSettings, DemSource
 
 FORMAT = 3  # of the overview folder; another number means: make it again
@@ -65,10 +66,12 @@ class PyramidRecord(msgspec.Struct, frozen=True):
 class _Statistics:
     """What reading a source found.
 
-    whole  blocks of WHOLE_BLOCK pixels a side that have all their pixels
+    whole   blocks of WHOLE_BLOCK pixels a side that have all their pixels
+    sample  some of its heights
     """
 
     whole: BoolArray
+    sample: HeightSample
     lowest: float = math.inf
     highest: float = -math.inf
     valid: int = 0
@@ -106,7 +109,7 @@ def write_levels(
     levels = max(1, 1 + math.floor(math.log2(max(1.0, min(source.shape) / SMALLEST))))
     copied = _is_copied(source)
     blocks = tuple(-(-side // WHOLE_BLOCK) for side in source.shape)
-    statistics = _Statistics(np.ones(blocks, dtype=bool))
+    statistics = _Statistics(np.ones(blocks, dtype=bool), HeightSample(source.shape))
     try:
         if copied:
             _copy_into_tiles(source, folder, progress)
@@ -118,6 +121,7 @@ def write_levels(
         raise OutputError(f"{folder}: overviews cannot be written ({reason}); free space") from None
     if statistics.valid == 0:
         raise DataError(f"{source.path}: has no data at all; check `nodata` and the file")
+    source.check_sample(statistics.sample.heights)
     source.check_heights(statistics.lowest, statistics.highest)
     if statistics.valid < statistics.total:
         np.save(whole_blocks_path(folder), statistics.whole)
@@ -175,6 +179,9 @@ def _cascade(
                 row, col, height, width = window
                 raw = dataset.read(1, window=Window(col, row, width, height))
         part = extremes(raw, convert)
+        if first == 0:
+            every = statistics.sample.step
+            statistics.sample.add_thinned(convert(raw[::every, ::every]))
         if first == 0 and part[2] < part[3]:
             # windows begin at whole blocks: each writes its own part
             at = window[0] // WHOLE_BLOCK, window[1] // WHOLE_BLOCK

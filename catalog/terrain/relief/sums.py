@@ -19,6 +19,7 @@ from catalog.errors import DataError
 from catalog.geometry.kernel import kernel
 from catalog.progress import Progress, SilentProgress
 from catalog.terrain.dem.georeference import CYLINDRICAL, Georeference
+from catalog.terrain.dem.height_sample import HeightSample
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.error_model import StatedError, TerrainErrorModel
 from catalog.terrain.relief.relief import GlobalRelief
@@ -170,9 +171,17 @@ def lay_whole(sums: CellSums, source: DemSource, progress: Progress) -> None:
 
     Raises DataError for a damaged file or one with impossible heights.
     """
-    layer = Layer(source.place, 0, source.shape, source.block_shape, source.read_window)
+    sample = HeightSample(source.shape)
+
+    def read(row: int, col: int, height: int, width: int) -> Float32Array:
+        heights = source.read_window(row, col, height, width)
+        sample.add(heights)
+        return heights
+
+    layer = Layer(source.place, 0, source.shape, source.block_shape, read)
     lowest_m, highest_m = sums.fill_from(layer, progress)
     if lowest_m <= highest_m:
+        source.check_sample(sample.heights)
         source.check_heights(lowest_m, highest_m)
 
 
