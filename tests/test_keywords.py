@@ -15,6 +15,7 @@ from catalog.keywords import Keyword, Keywords, check_keywords
 # Modules with a table KEYWORDS. A test of each reader feeds it a file with every refused keyword.
 READERS: tuple[str, ...] = (
     "catalog.bodies.daf",
+    "catalog.bodies.star_catalog",
     "catalog.terrain.dem.label_keywords",
     "optnav_cli.frames.isis_keywords",
     "optnav_cli.orbit.oem_reader",

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from catalog.config import load_toml
+from catalog.errors import ConfigError
 from catalog.terrain.dem.file import path_of
 from optnav_cli.frames.run_settings import SpiceSettings
 
@@ -53,6 +54,17 @@ class PickedSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     construction: Construction = "least_squares"
 
 
+class StarsSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """[stars]: the catalogue that attitudes from stars rest on.
+
+    catalogue  a CSV of the user's own, beside the config; None for the stars that ship
+    epoch      Julian year of its places, where it has no column of it
+    """
+
+    catalogue: str | None = None
+    epoch: Annotated[float, msgspec.Meta(ge=1800.0, le=2200.0)] | None = None
+
+
 class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """The whole navigation config."""
 
@@ -60,6 +72,7 @@ class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     match: MatchSettings = MatchSettings()
     solve: SolveSettings = SolveSettings()
     points: PickedSettings = PickedSettings()
+    stars: StarsSettings = StarsSettings()
     spice: SpiceSettings = SpiceSettings()
 
     def attitude_sigma_rad(self, stated: float | None) -> float:
@@ -74,4 +87,10 @@ def load_settings(path: Path) -> NavigateSettings:
     """
     settings = load_toml(path, NavigateSettings)
     kernels = tuple(str(path_of(name, path.parent)) for name in settings.spice.kernels)
-    return msgspec.structs.replace(settings, spice=SpiceSettings(kernels))
+    stars = settings.stars
+    if stars.catalogue is not None:
+        found = str(path_of(stars.catalogue, path.parent))
+        stars = msgspec.structs.replace(stars, catalogue=found)
+    elif stars.epoch is not None:
+        raise ConfigError(f"{path}: [stars] epoch is that of `catalogue`, which is not set")
+    return msgspec.structs.replace(settings, spice=SpiceSettings(kernels), stars=stars)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from catalog.arrays import ByteArray, Float32Array
-from catalog.bodies.stars import bright_stars
+from catalog.bodies.stars import BrightStars, bright_stars
 from optnav_cli.measurements.stars.identify import StarFix
 from optnav_cli.measurements.stars.spots import StarSpots
 from optnav_cli.output.canvas import Canvas, dimmed, eight_bits, resized, shrink_factor, text_width
@@ -14,7 +14,11 @@ MAX_NAMED = 40  # the brightest
 
 
 def draw_stars(
-    picture: Float32Array, spots: StarSpots | None, fix: StarFix | None, words: str
+    picture: Float32Array,
+    spots: StarSpots | None,
+    fix: StarFix | None,
+    words: str,
+    catalog: BrightStars | None = None,
 ) -> ByteArray:
     """The picture (h', w', 3) with its spots and stars, and a strip below with the result."""
     factor = shrink_factor(picture.shape[1], picture.shape[0], MAX_PX)
@@ -24,7 +28,7 @@ def draw_stars(
         if number not in matched:
             canvas.ring(pixel, 7.0, SPOT, 1)
     if fix is not None and spots is not None:
-        stars = bright_stars()
+        stars = bright_stars() if catalog is None else catalog
         for row, (spot, star) in enumerate(zip(fix.spots, fix.stars, strict=True)):
             colour = FOUND if fix.used[row] else LEFT_OUT
             pixel = spots.pixels[spot]

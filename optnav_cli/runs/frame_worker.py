@@ -19,6 +19,8 @@ import cv2
 import numpy as np
 
 from catalog.arrays import ByteArray, FloatArray
+from catalog.bodies.star_catalog import read_star_catalog
+from catalog.bodies.stars import BrightStars, bright_stars
 from catalog.cache import Cache
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher
@@ -160,12 +162,16 @@ class FrameWorker:
         folder += [path for path in [given.pictures / POINTS_CSV] if path.exists()]
         relief = [] if given.relief is None else [given.relief]
         orbit = [] if given.orbit is None else orbit_inputs(given.orbit)
-        return [*folder, *given.catalogs, *given.kernels, *relief, *orbit]
+        own = given.settings.stars.catalogue
+        stars = [] if own is None else [Path(own)]
+        return [*folder, *given.catalogs, *given.kernels, *relief, *orbit, *stars]
 
     @cached_property
     def folder(self) -> Folder:
-        """The picture folder."""
+        """The picture folder. Raises DataError for it, and for a wrong catalogue of stars."""
         folder = read_folder(self.given.pictures, self.given.kernels)
+        if self.given.settings.stars.catalogue is not None:
+            _ = self._stars  # read here, so that a wrong one ends the run before its first frame
         if self.given.orbit is None:
             return folder
         return replace(folder, frames=with_orbit(folder.frames, folder.body, self.given.orbit))
@@ -287,6 +293,14 @@ class FrameWorker:
             text = self._failure("numerical failure", error)
             return _unsolved(frame, ReasonCode.NUMERICAL_FAILURE, text), True
 
+    @cached_property
+    def _stars(self) -> BrightStars:
+        """The catalogue of the config, or the stars that ship. Raises DataError."""
+        own = self.given.settings.stars
+        if own.catalogue is None:
+            return bright_stars()
+        return read_star_catalog(Path(own.catalogue), own.epoch)
+
     def _with_stars(self, frame: Frame, camera: Camera, answers: Answers) -> Frame:
         """A frame whose attitude is not stated with that of the stars in its picture.
 
@@ -296,7 +310,7 @@ class FrameWorker:
             return frame
         place = frame.position_m
         distance = None if place is None else float(np.linalg.norm(place))
-        view = SkyView(self.folder.body, frame.tdb_s, distance)
+        view = SkyView(self.folder.body, frame.tdb_s, distance, self._stars)
         if STARS not in answers:
             picture = self._picture(frame, camera)
             answers[STARS] = pack(star_sight(picture.values, picture.saturation, camera, view))

@@ -9,8 +9,10 @@ import numpy as np
 
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.bodies.star_catalog import read_star_catalog
+from catalog.bodies.stars import BrightStars, bright_stars
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
-from catalog.files import replacing_folder
+from catalog.files import hash_file, replacing_folder
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
@@ -89,8 +91,16 @@ class StarRow:
         )
 
 
-def stars_folder(folder: Path, output: Path, progress: Progress) -> list[StarRow]:
+def stars_folder(
+    folder: Path,
+    output: Path,
+    progress: Progress,
+    catalogue: Path | None = None,
+    epoch: float | None = None,
+) -> list[StarRow]:
     """Find the attitudes of all pictures of a folder and write OUTPUT with attitudes.csv.
+
+    catalogue, epoch  stars of the user's own, see `read_star_catalog`; None for those that ship
 
     Raises ConfigError or DataError for a folder that cannot be used, NothingToDoError, after the
     output is written, when no picture gives an attitude.
@@ -99,6 +109,7 @@ def stars_folder(folder: Path, output: Path, progress: Progress) -> list[StarRow
     check_apart(output, [folder])
     with logged_stage(STAGE):
         body = _body(folder)
+        stars = bright_stars() if catalogue is None else read_star_catalog(catalogue, epoch)
         cameras, table = read_cameras(folder / CAMERAS), STAR_FRAMES.rows(folder / FRAMES)
         _check_files(folder / FRAMES, table)
         rows: list[StarRow] = []
@@ -106,7 +117,7 @@ def stars_folder(folder: Path, output: Path, progress: Progress) -> list[StarRow
             (place / OVERLAYS).mkdir()
             with progress.stage(STAGE, len(table), "picture") as bar:
                 for row in table:
-                    rows.append(_row(folder, row, cameras, body, place / OVERLAYS))
+                    rows.append(_row(folder, row, cameras, (body, stars), place / OVERLAYS))
                     bar.advance()
             ATTITUDES.write(place / ATTITUDES_CSV, (row.cells() for row in rows))
             files = [row.file for row in rows]
@@ -114,7 +125,7 @@ def stars_folder(folder: Path, output: Path, progress: Progress) -> list[StarRow
                 place,
                 STARS_KIND,
                 command="stars",
-                options={},
+                options=_options(catalogue, epoch),
                 inputs={"folder": folder, "files_sha256": hash_files(folder, [*files, FRAMES])},
                 results={"pictures": len(rows), "solved": sum(row.solved for row in rows)},
                 started=started,
@@ -138,6 +149,13 @@ def _body(folder: Path) -> Body:
     return read_run_settings(path)[1] if path.exists() else load_body(DEFAULT_BODY)
 
 
+def _options(catalogue: Path | None, epoch: float | None) -> dict[str, object]:
+    """What the manifest says of the user's own catalogue."""
+    if catalogue is None:
+        return {}
+    return {"catalogue": catalogue, "catalogue_sha256": hash_file(catalogue), "epoch": epoch}
+
+
 def _check_files(path: Path, table: Sequence[CsvRow]) -> None:
     """Raise DataError for a row without a picture's name, or a name twice."""
     seen: set[str] = set()
@@ -150,9 +168,14 @@ def _check_files(path: Path, table: Sequence[CsvRow]) -> None:
 
 
 def _row(
-    folder: Path, row: CsvRow, cameras: dict[str, Camera], body: Body, overlays: Path
+    folder: Path,
+    row: CsvRow,
+    cameras: dict[str, Camera],
+    sky: tuple[Body, BrightStars],
+    overlays: Path,
 ) -> StarRow:
     file, utc, spots = row["file"], row["utc"], None
+    body, stars = sky
     try:
         if row.problem:
             raise DataError(row.problem)
@@ -164,19 +187,19 @@ def _row(
         if place is not None and np.abs(place).max() > MAX_DISTANCE_M:
             raise DataError(f"the position lies farther off than {MAX_DISTANCE_M:g} m")
         distance = None if place is None else float(np.linalg.norm(place))
-        view = SkyView(body, utc_to_tdb_s(utc) if utc else None, distance)
+        view = SkyView(body, utc_to_tdb_s(utc) if utc else None, distance, stars)
         picture = frame_picture(folder, file, camera)
     except DataError as error:
         return StarRow(file, utc, None, None, None, str(error))
     fix, reason = None, ""
     try:
         spots = find_spots(picture.values, picture.saturation)
-        fix = StarIdentifier(camera, view.directions()).identify(spots)
+        fix = StarIdentifier(camera, view.directions(), stars).identify(spots)
         if not utc:
             reason = 'no time: the stars are those of J2025, aberration (20") is in the sigmas'
     except NoSolutionError as error:
         reason = str(error)
     found = StarRow(file, utc, spots, fix, view, reason)
-    drawn = draw_stars(picture.values, spots, fix, found.words())
+    drawn = draw_stars(picture.values, spots, fix, found.words(), stars)
     overlay_path(overlays, file).write_bytes(encoded(drawn, ".png"))
     return found

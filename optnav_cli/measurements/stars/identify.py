@@ -8,8 +8,8 @@ were tried, would have given as many so rarely.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from itertools import combinations, islice
 
 import numpy as np
@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import bdtrc
 
 from catalog.arrays import FloatArray, IntArray
-from catalog.bodies.stars import bright_stars
+from catalog.bodies.stars import BrightStars, bright_stars
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import cross_matrix
 from optnav_cli.camera.camera import Camera
@@ -39,6 +39,11 @@ MAX_RMS_PX = 0.7  # a coordinate; places that fill a gate of 2.5 px evenly have 
 MAX_COARSE_CHANCE = 1e-3  # of a triple's matches before they are refined
 MAX_CHANCE = 1e-5  # expected false attitudes of a picture
 SKY_SQUARE_DEG = 41_253.0
+# A catalog so large is indexed; its triples of equal angles are many, and sifted at once.
+LARGE_CATALOG, MANY_TRIPLES, MANY_TRIED, WIDE_GATE = 20_000, 80, 50_000, 1.6
+COMPACT = 0.4  # of a field's diagonal: two sides of a triple are looked up, so long at most
+LARGE_SPOTS, MIN_LARGE_SIDE_PX = 16, 80.0  # shorter sides have the angles of too many triples
+MAX_PAIRS = 20_000_000  # of stars, half a gigabyte: 250,000 stars in fields of 2 deg
 MAX_STEPS = 6
 GATE_SIGMAS = 4.0  # of a match's distance from its star
 K1_STARS, SCALE_STARS = 15, 6
@@ -91,9 +96,9 @@ class _Pairs:
 
 
 @lru_cache(maxsize=4)
-def _pairs(count: int, widest: float) -> _Pairs:
+def _pairs(catalog: BrightStars, count: int, widest: float) -> _Pairs:
     """Of the brightest stars: the motions of a century change no angle by a pixel."""
-    directions = bright_stars().at(None)[:count]
+    directions = catalog.at(None)[:count]
     reach = 2.0 * np.sin(widest / 2.0)
     found = cKDTree(directions).query_pairs(reach, output_type="ndarray")
     chords = np.linalg.norm(directions[found[:, 0]] - directions[found[:, 1]], axis=1)
@@ -107,10 +112,12 @@ class StarIdentifier:
     """Finds attitudes of one camera.
 
     directions  (n, 3) of the catalog's stars as the camera sees them, the brightest first
+    catalog     the stars themselves
     """
 
     camera: Camera
     directions: FloatArray
+    catalog: BrightStars = field(default_factory=bright_stars)
 
     def identify(self, spots: StarSpots) -> StarFix:
         """The attitude under which the spots are stars.
@@ -133,7 +140,7 @@ class StarIdentifier:
             text = "the picture is mirrored: its stars fit the sky seen in a mirror"
             raise NoSolutionError(text, ReasonCode.MIRRORED)
         for factor in WRONG_FACTORS:
-            other = StarIdentifier(self.camera.with_focal_factor(factor), self.directions)
+            other = replace(self, camera=self.camera.with_focal_factor(factor))
             fit = other._identified(spots, FEW_TRIPLES)
             if fit is not None:
                 raise _wrong_lens(factor * fit.focal_scale)
@@ -152,32 +159,92 @@ class StarIdentifier:
             return None
         rays = self.camera.unproject(spots.pixels)
         seen = np.flatnonzero(np.isfinite(rays).all(axis=1))
-        tried = 0
-        for three in islice(_triples(seen, rays, self._widest()), most):
-            for stars in self._candidates(rays[list(three)]):
-                tried += 1
-                fit = self._verified(spots, rays, three, stars, tried)
+        tried, last = 0, MAX_TRIED
+        triples = _triples(seen, rays, self._widest())
+        if self._is_large:
+            most, last = min(most, MANY_TRIPLES), MANY_TRIED
+            shortest = MIN_LARGE_SIDE_PX / self.camera.focal_length_px
+            triples = _compact_triples(seen, rays, shortest, self._reach())
+        for three in islice(triples, most):
+            candidates = self._candidates(rays[list(three)])
+            for number in self._promising(spots, rays, three, candidates):
+                fit = self._verified(spots, rays, three, candidates[number], tried + number + 1)
                 if fit is not None:
                     return fit
-                if tried >= MAX_TRIED:
+                if tried + number + 1 >= last:
                     return None
+            tried += len(candidates)
+            if tried >= last:
+                return None
         return None
+
+    @property
+    def _is_large(self) -> bool:
+        """Whether the catalog has so many stars that a triple fits many of its own by chance."""
+        return len(self.directions) > LARGE_CATALOG
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.directions)
+
+    def _promising(
+        self, spots: StarSpots, rays: FloatArray, three: tuple[int, ...], candidates: list[IntArray]
+    ) -> IntArray:
+        """Numbers of the candidates under which as many other spots are stars as it takes.
+
+        All of them with a small catalog. With a large one every other spot is looked up in the sky
+        by the attitude of each triple at once, in a gate wider than that of the matches.
+        """
+        if not self._is_large or not candidates:
+            return np.arange(len(candidates))
+        others = np.setdiff1d(np.flatnonzero(np.isfinite(rays).all(axis=1)), three)
+        stars = np.array(candidates)
+        u, _, vt = np.linalg.svd(
+            np.einsum("ia,mib->mab", rays[list(three)], self.directions[stars])
+        )
+        u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
+        scales = np.array([self._scale_of(rays[list(three)], row) for row in stars])
+        straight = np.repeat(rays[others][None], len(stars), axis=0)
+        straight[:, :, 2] *= scales[:, None]
+        sky = straight @ (u @ vt)
+        sky /= np.linalg.norm(sky, axis=2, keepdims=True)
+        gate = WIDE_GATE * 2.0 * MATCH_PX / self.camera.focal_length_px
+        away, _ = self._tree.query(sky, distance_upper_bound=gate)
+        wanted = self._fewest(len(spots)) - 3
+        return np.flatnonzero(np.isfinite(away).sum(axis=1) >= wanted)
+
+    def _fewest(self, spots: int) -> int:
+        """The fewest matches that stand against chance where the sky is half as full."""
+        camera = self.camera
+        area = camera.width_px * camera.height_px * np.degrees(camera.angular_resolution) ** 2
+        in_view = max(round(0.5 * len(self.directions) * area / SKY_SQUARE_DEG), 1)
+        agreeing = MIN_STARS
+        while agreeing < spots and (self._chance(spots, agreeing, in_view, MATCH_PX) >= MAX_CHANCE):
+            agreeing += 1
+        return agreeing
 
     def _count_in_view(self) -> int:
         """How many of the catalog's stars to take, the brightest."""
         camera = self.camera
         area = camera.width_px * camera.height_px * np.degrees(camera.angular_resolution) ** 2
         wanted = WANTED_IN_VIEW * SKY_SQUARE_DEG / min(area, SKY_SQUARE_DEG / 2.0)
-        return int(np.clip(wanted, 300, len(self.directions)))
+        # so many stars have MAX_PAIRS within the widest angle
+        share = np.pi * np.degrees(self._reach()) ** 2 / SKY_SQUARE_DEG
+        affordable = np.sqrt(2.0 * MAX_PAIRS / share)
+        return int(np.clip(min(wanted, affordable), 300, max(len(self.directions), 300)))
 
     def _widest(self) -> float:
         half = np.hypot(self.camera.width_px, self.camera.height_px) / 2.0
         across = 2.0 * np.arctan(half / self.camera.coarse_focal_px)
         return float(min(across * 1.05, np.radians(MAX_PAIR_DEG)))
 
+    def _reach(self) -> float:
+        """The widest angle between two stars that are looked up as a pair."""
+        return self._widest() * (COMPACT if self._is_large else 1.0)
+
     def _candidates(self, rays: FloatArray) -> list[IntArray]:
         """Triples of stars (3,) with the angles and the sense of three rays (3, 3)."""
-        pairs = _pairs(self._count_in_view(), round(self._widest(), 6))
+        pairs = _pairs(self.catalog, self._count_in_view(), round(self._reach(), 6))
         ab, ac, bc = (_angle(rays[i], rays[j]) for i, j in ((0, 1), (0, 2), (1, 2)))
         if max(ab, ac, bc) > self._widest() or min(ab, ac, bc) < 10.0 / self.camera.focal_length_px:
             return []
@@ -373,6 +440,27 @@ def _triples(seen: IntArray, rays: FloatArray, widest: float) -> Iterator[tuple[
     some.sort(key=lambda three: (sum(three), three))
     for three in some:
         yield tuple(int(seen[rank]) for rank in three)
+
+
+def _compact_triples(
+    seen: IntArray, rays: FloatArray, shortest: float, reach: float
+) -> Iterator[tuple[int, ...]]:
+    """Triples of bright spots, small ones first: pairs of an angle grow with its square.
+
+    The first of each triple is the corner of both shorter sides, which are looked up.
+    """
+    bright = rays[seen[:LARGE_SPOTS]]
+    apart = np.linalg.norm(bright[:, None] - bright[None], axis=2)
+    some = []
+    for three in combinations(range(len(bright)), 3):
+        corners = [(apart[a, b], apart[a, c], a, b, c) for a, b, c in (
+            three, (three[1], three[0], three[2]), (three[2], three[0], three[1])
+        )]  # fmt: skip
+        one, other, a, b, c = min(corners, key=lambda corner: corner[0] + corner[1])
+        if min(one, other, apart[b, c]) > shortest and max(one, other) < reach:
+            some.append((one * other * (3 + sum(three)), a, b, c))
+    for _, a, b, c in sorted(some):
+        yield int(seen[a]), int(seen[b]), int(seen[c])
 
 
 def _angle(a: FloatArray, b: FloatArray) -> float:

@@ -1,6 +1,6 @@
 """The sky of a picture: where its stars are seen, and what time and motion leave open."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import velocity_inertial
-from catalog.bodies.stars import LIGHT_M_S, aberrated, bright_stars
+from catalog.bodies.stars import LIGHT_M_S, BrightStars, aberrated, bright_stars
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.stars.identify import StarIdentifier
@@ -22,15 +22,17 @@ class SkyView:
     """Whose motion displaces the stars, and when: TDB s past J2000, None where not known.
 
     distance_m  of the craft from the body's centre, None where not known: a low orbit's
+    catalog     the stars that are looked for
     """
 
     body: Body
     tdb_s: float | None
     distance_m: float | None = None
+    catalog: BrightStars = field(default_factory=bright_stars)
 
     def directions(self) -> FloatArray:
         """Where the catalog's stars are seen, inertial axes: (n, 3)."""
-        stars = bright_stars().at(self.tdb_s)
+        stars = self.catalog.at(self.tdb_s)
         if self.tdb_s is None:
             return stars
         return aberrated(stars, velocity_inertial(self.body, self.tdb_s))
@@ -67,7 +69,8 @@ def star_sight(
 ) -> StarSight:
     """The attitude of a picture (h, w) by its stars, or why there is none."""
     try:
-        fix = StarIdentifier(camera, view.directions()).identify(find_spots(picture, saturation))
+        spots = find_spots(picture, saturation)
+        fix = StarIdentifier(camera, view.directions(), view.catalog).identify(spots)
     except NoSolutionError as error:
         return StarSight(None, 0.0, str(error))
     # navigation takes one sigma for all axes; across, where the ground is moved most, it is honest

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.stars import bright_stars
+from catalog.bodies.stars import bright_stars, stars_of
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.camera.camera import Camera
@@ -222,3 +222,65 @@ def test_sunlit_peaks_beyond_a_terminator_are_no_stars():
     spots = find_spots(picture, 65535.0)
     assert len(spots) == plain
     assert (np.hypot(spots.pixels[:, 0] - 150, spots.pixels[:, 1] - 330) > 90).all()
+
+
+def whole_sky(count: int, faintest: float):
+    """Stars as Gaia counts them, evenly over the sky: each magnitude has 2.5 times as many."""
+    rng = np.random.default_rng(17)
+    places = [rng.uniform(0.0, 360.0, count), np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, count)))]
+    magnitudes = np.sort(faintest + 2.5 * np.log10(rng.uniform(1e-4, 1.0, count)))
+    motions = rng.normal(0.0, 20.0, (count, 2))
+    return stars_of(np.stack(places, 1), motions, magnitudes, 2016.0, ("",) * count)
+
+
+NARROW = Camera("narrow", "pinhole", 1024, 1024, 512.0 / np.tan(np.radians(1.0)), (511.5, 511.5))
+
+
+@pytest.fixture(scope="module")
+def deep():
+    """120,000 stars to magnitude 9, for a field of 2 deg."""
+    stars = whole_sky(120_000, 9.0)
+    return StarIdentifier(NARROW, stars.at(None), stars)
+
+
+def deep_spots(deep: StarIdentifier, turn: Rotation, rng, false: int) -> StarSpots:
+    """Nine in ten of the stars in view, 0.15 px off, and false spots; the lens is 0.3 % off."""
+    sky = turn.apply(deep.directions)
+    near = np.flatnonzero(sky[:, 2] > 0.99)
+    pixels = NARROW.project(sky[near])
+    seen = NARROW.contains(pixels) & (rng.random(len(near)) > 0.1)
+    middle = np.array(NARROW.principal_point_px)
+    places = middle + (1.0 + rng.normal(0.0, 0.003)) * (pixels[seen] - middle)
+    places = np.vstack([places, rng.uniform(0.0, 1023.0, (false, 2))])
+    places += rng.normal(0.0, 0.15, places.shape)
+    light = np.append(deep.catalog.magnitudes[near[seen]], rng.uniform(6.0, 9.0, false))
+    order = np.argsort(light + rng.normal(0.0, 0.2, len(light)))
+    return StarSpots(places[order], -light[order], np.full(len(order), 0.15), 0, 0, 0.0)
+
+
+def test_fields_of_2_deg_are_identified_with_a_catalogue_to_magnitude_9(deep):
+    squares = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        high = np.degrees(np.arcsin(rng.uniform(-1.0, 1.0)))
+        turn = turned(rng.uniform(0.0, 360.0), high, rng.uniform(-180.0, 180.0))
+        spots = deep_spots(deep, turn, rng, 3)
+        fix = deep.attempt(spots)
+        if len(spots) < 3 + 6:
+            continue  # a gap of the sky: five stars of it could be chance
+        assert fix is not None
+        off = (fix.camera_from_sky * turn.inv()).as_rotvec()
+        squares.append(off @ np.linalg.solve(fix.covariance, off))
+        assert np.linalg.norm(off[:2]) < 5.0 * ARCSEC
+    assert len(squares) >= 6
+    assert max(squares) < 20.0
+
+
+def test_a_wrong_sky_gives_no_attitude_with_a_catalogue_of_120000_stars(deep):
+    for seed in range(3):
+        rng = np.random.default_rng(1000 + seed)
+        count = int(rng.integers(6, 40))
+        light = np.sort(rng.random(count))[::-1]
+        places = rng.uniform(5.0, 1018.0, (count, 2))
+        spots = StarSpots(places, light, np.full(count, 0.15), 0, 0, 0.0)
+        assert deep.attempt(spots) is None
