@@ -8,6 +8,7 @@ the missing kernel is known. Each function takes the toolkit with its kernels in
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import ModuleType
 from typing import Literal
 
@@ -16,6 +17,7 @@ from catalog.errors import DataError
 
 Span = tuple[float, float]  # TDB s
 Windows = tuple[Span, ...]  # in order, without overlap
+Quality = Literal["reconstructed", "predicted", ""]
 Missing = tuple[str, str]  # why there are no data, and the remedy
 
 REACH = "name kernels that reach further, or leave [spice] out"
@@ -23,6 +25,7 @@ ADD = "add the kernel that has it"
 
 INERTIAL_CLASS, PCK_CLASS, CK_CLASS, TK_CLASS = 1, 2, 3, 4
 MAX_SPANS_SHOWN = 3
+MAX_COMMENT_LINES = 2000
 MAX_FRAMES = 20  # of a chain; the toolkit follows as many
 _MAX_OBJECTS = 10_000
 _MAX_INTERVALS = 100_000
@@ -160,6 +163,47 @@ def attitude_windows(spice: ModuleType, number: int) -> Windows:
         if number in spice.ckobj(path):
             spice.ckcov(path, number, False, "INTERVAL", 0.0, "TDB", cell)
     return _spans(spice, cell)
+
+
+def quality(spice: ModuleType, paths: Iterable[str]) -> Quality:
+    """Whether the names and comments of kernels call them predicted or reconstructed; "" else."""
+    said = {_quality_of(spice, path) for path in paths}
+    if "predicted" in said:
+        return "predicted"
+    return "reconstructed" if said == {"reconstructed"} else ""
+
+
+def _quality_of(spice: ModuleType, path: str) -> Quality:
+    text = Path(path).name
+    handle = spice.dafopr(path)
+    try:
+        _, lines, _ = spice.dafec(handle, MAX_COMMENT_LINES, 255)
+        text += " ".join(map(str, lines))
+    except spice.exceptions.SpiceyError:  # comments that are damaged, or of another system
+        text += ""
+    finally:
+        spice.dafcls(handle)
+    predicted, reconstructed = "predict" in text.lower(), "reconstruct" in text.lower()
+    if predicted == reconstructed:
+        return ""
+    return "predicted" if predicted else "reconstructed"
+
+
+def orbit_files(spice: ModuleType, number: int, tdb_s: float) -> list[str]:
+    """The last loaded kernel with the orbit of a body at a time, which wins; none without one."""
+    paths = []
+    for path in _loaded(spice, "SPK"):
+        if number in spice.spkobj(path):
+            cell = spice.cell_double(2 * _MAX_INTERVALS)
+            spice.spkcov(path, number, cell)
+            if covers(_spans(spice, cell), tdb_s):
+                paths.append(path)
+    return paths[-1:]
+
+
+def attitude_files(spice: ModuleType) -> list[str]:
+    """All loaded kernels of attitudes."""
+    return _loaded(spice, "CK")
 
 
 def _references(spice: ModuleType, path: str, number: int) -> Iterator[int]:

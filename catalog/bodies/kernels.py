@@ -20,10 +20,14 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.coverage import (
     Missing,
+    Quality,
     Span,
+    attitude_files,
     common_span,
     explain_frame,
     explain_orbits,
+    orbit_files,
+    quality,
     read_windows,
 )
 from catalog.bodies.daf import RECORD_BYTES, check_daf
@@ -127,6 +131,12 @@ class KernelSet:
         if not np.abs(km).max() < MAX_KM:
             raise self._not_finite(f"body {of} seen from {seen_from}", tdb_s)
         return np.asarray(km) * 1e3, 0.0 if correction == "NONE" else float(light_s)
+
+    def qualities(self, number: int, tdb_s: float) -> tuple[Quality, Quality]:
+        """What the kernels call the orbit of a body at a time, and their attitudes."""
+        with self._loaded() as spice:
+            orbit = quality(spice, orbit_files(spice, number, tdb_s))
+            return orbit, quality(spice, attitude_files(spice))
 
     def joins_barycentre(self, number: int, tdb_s: float) -> bool:
         """Whether the solar system's barycentre is reached from a body, as light time needs."""

@@ -6,7 +6,8 @@ right ascension and declination of the boresight with the clock angle of north.
 
 Labels of archives are off: on 75 pictures of comet 67P by 0.7 deg against the comet's shape (0.65
 deg of it in the body's axes), on Apollo 15 frame 0297 by 0.33 deg and 1.3 km. So a table's sigmas
-are those of what a label of its kind is off by, and where it states none, the defaults below.
+are those of what a label of its kind is off by, and where it states none, `source_sigmas.py` has
+those of its source.
 """
 
 from dataclasses import dataclass, field
@@ -38,9 +39,8 @@ from optnav_cli.frames.label_geometry import (
     read_time,
     read_vector,
 )
+from optnav_cli.frames.source_sigmas import LABEL, SourceSigmas, cube_sigmas, kernel_sigmas
 
-ATTITUDE_SIGMA_DEG = 0.5  # an axis
-POSITION_SIGMA_M = 1000.0  # a component
 # The Sun and the rotation by a label and by the body file: further apart, one of both is of another
 # body, time or frame. Poles of one asteroid by two reports differ by 0.8 deg.
 MAX_APART_DEG = 2.0
@@ -106,15 +106,6 @@ class ImportTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """camera_from_frame."""
         return Rotation.from_matrix(np.reshape(self.camera_from_frame, (3, 3)))
 
-    def missing_sigmas(self) -> list[str]:
-        """The sigmas that the table leaves to the defaults, in words."""
-        found = []
-        if self.attitude_sigma_deg is None and not self.attitude_free:
-            found.append(f"attitude {ATTITUDE_SIGMA_DEG:g} deg")
-        if self.position_sigma_m is None:
-            found.append(f"position {POSITION_SIGMA_M:g} m")
-        return found
-
 
 def load_table(path: Path) -> ImportTable:
     """A table of keywords. Raises ConfigError for a wrong file."""
@@ -162,7 +153,7 @@ class FrameMaker:
             else body_from[axes_of(label, keys)].apply(read_vector(label, keys, self.motion.body))
             for keys in (table.position, table.sun)
         )
-        return self._frame(label.path, file, (utc, tdb_s), camera_from_body, position, sun)
+        return self._frame(label.path, file, (utc, tdb_s), camera_from_body, position, sun, LABEL)
 
     def of_cube(
         self, path: Path, pose: CubePose, file: str, camera_from_isis: Rotation | None = None
@@ -180,7 +171,8 @@ class FrameMaker:
             )
         attitude = (camera_from_isis or self.table.rotation) * pose.isis_from_body
         time = (middle_utc(pose), pose.tdb_s)
-        return self._frame(path, file, time, attitude, pose.position_m, pose.sun_body)
+        source = cube_sigmas(pose.position_quality, pose.pointing_quality)
+        return self._frame(path, file, time, attitude, pose.position_m, pose.sun_body, source)
 
     def of_time(self, path: Path, file: str, utc: str) -> Frame:
         """The frame of a time by SPICE kernels. Raises DataError where they do not reach."""
@@ -203,7 +195,8 @@ class FrameMaker:
         position = body_from_inertial.apply(-seen_m)
         attitude = self.table.rotation * attitude * body_from_inertial.inv()
         sun = self.motion.sun_body(tdb_s - light_s)
-        return self._frame(path, file, (utc, tdb_s), attitude, position, sun)
+        source = kernel_sigmas(*kernels.qualities(spice.craft, tdb_s))
+        return self._frame(path, file, (utc, tdb_s), attitude, position, sun, source)
 
     def _frame(
         self,
@@ -213,9 +206,15 @@ class FrameMaker:
         camera_from_body: Rotation,
         position_m: FloatArray | None,
         sun: FloatArray | None,
+        source: SourceSigmas,
     ) -> Frame:
         table, (utc, tdb_s) = self.table, time
-        degrees = table.attitude_sigma_deg or ATTITUDE_SIGMA_DEG
+        degrees = None if table.attitude_free else table.attitude_sigma_deg or source.attitude_deg
+        position_sigma_m = None
+        if position_m is not None:
+            default_m = source.position.sigma_m(position_m, self.motion.body.radius_m)
+            position_sigma_m = table.position_sigma_m or default_m
+        self._note_defaults(source, has_position=position_m is not None)
         sun_body = None if sun is None else unit(sun)
         if sun_body is not None:
             self._check_sun(path, tdb_s, sun_body)
@@ -225,13 +224,21 @@ class FrameMaker:
             camera=self.camera,
             tdb_s=tdb_s,
             camera_from_body=camera_from_body,
-            attitude_sigma_rad=None if table.attitude_free else float(np.radians(degrees)),
+            attitude_sigma_rad=None if degrees is None else float(np.radians(degrees)),
             position_m=position_m,
-            position_sigma_m=None
-            if position_m is None
-            else table.position_sigma_m or POSITION_SIGMA_M,
+            position_sigma_m=position_sigma_m,
             sun_body=sun_body,
         )
+
+    def _note_defaults(self, source: SourceSigmas, *, has_position: bool) -> None:
+        """Note which sigmas the table leaves to the defaults of the source."""
+        table = self.table
+        words = source.words(
+            attitude=table.attitude_sigma_deg is None and not table.attitude_free,
+            position=table.position_sigma_m is None and has_position,
+        )
+        if words:
+            self.notes[words] = None
 
     def _check_sun(self, path: Path, tdb_s: float, sun_body: FloatArray) -> None:
         """Refuse a Sun that does not stand where the body's own theory has it."""

@@ -213,8 +213,6 @@ class _Importer:
         self, table: ImportTable, frame: Frame, camera: Camera, label: ArchiveLabel | None
     ) -> None:
         notes = list(table.unknown)
-        if defaults := table.missing_sigmas():
-            notes.append(f"1-sigma errors are defaults: {', '.join(defaults)}")
         if frame.attitude_sigma_rad is None:
             notes.append("attitudes are first guesses: they are free (attitude_sigma_arcsec empty)")
         if frame.sun_body is None:

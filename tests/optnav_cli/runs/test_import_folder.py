@@ -199,11 +199,13 @@ def test_a_pds3_label_gives_position_attitude_sun_and_defaults(tmp_path: Path) -
     assert frame.sun_body is not None
     assert frame.sun_body @ moon.sun_body(tdb_s) == pytest.approx(1.0, abs=1e-8)
     assert frame.attitude_sigma_rad == pytest.approx(1800.0 * ARCSEC)
-    assert frame.position_sigma_m == 1000.0
+    assert frame.position_m is not None
+    height_m = float(np.linalg.norm(frame.position_m)) - load_body("moon").radius_m
+    assert frame.position_sigma_m == pytest.approx(0.01 * height_m)
     made = load_camera(tmp_path / "made.toml")
     values = load_picture(tmp_path / "out/a.tif", made).values
     np.testing.assert_array_equal(values.ravel(), range(10, 34))
-    assert any("defaults: attitude 0.5 deg, position 1000 m" in r for r in imported.remarks)
+    assert any("defaults: attitude 0.5 deg, position 1 % of the" in r for r in imported.remarks)
 
 
 def test_a_body_may_be_the_path_of_a_file_which_the_folder_then_carries(tmp_path: Path) -> None:
