@@ -18,6 +18,7 @@ READERS: tuple[str, ...] = (
     "catalog.bodies.star_catalog",
     "catalog.terrain.dem.label_keywords",
     "optnav_cli.frames.isis_keywords",
+    "optnav_cli.frames.label_keywords",
     "optnav_cli.orbit.oem_reader",
 )
 

@@ -39,6 +39,7 @@ from optnav_cli.frames.label_geometry import (
     read_time,
     read_vector,
 )
+from optnav_cli.frames.label_keywords import check_label
 from optnav_cli.frames.source_sigmas import LABEL, SourceSigmas, cube_sigmas, kernel_sigmas
 
 # The Sun and the rotation by a label and by the body file: further apart, one of both is of another
@@ -73,7 +74,8 @@ class ImportTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                        geometry SPICE kernels have
     match              keywords with what their values begin with: the labels that it is for
     camera, body       a name of those that ship, or a path from the table's folder; may be left out
-                       and named on the command line; a body may be the label's target
+                       and named on the command line; a body may be the label's target; of several
+                       cameras the first is taken whose pictures have the label's size
     target             keyword of the body's name, which must agree with `body`
     picture            name of the picture, "{stem}" being the label's without its ending; else the
                        label's own file has it
@@ -86,7 +88,7 @@ class ImportTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     format: LabelFormat | Literal["isis", "times"]
     match: dict[str, str] = {}
-    camera: str = ""
+    camera: str | tuple[str, ...] = ""
     body: str = ""
     target: str = ""
     picture: str = ""
@@ -116,7 +118,8 @@ def load_table(path: Path) -> ImportTable:
     if table.format == "times" and table.spice is None:
         raise ConfigError(f'{path}: format "times" needs [spice] craft and frame')
     if table.format not in ("isis", "times"):
-        check_keys(path, table.time, table.attitude, table.position, table.sun)
+        has_spice = table.spice is not None
+        check_keys(path, table.time, table.attitude, table.position, table.sun, has_spice=has_spice)
     if table.time.clock:
         try:
             utc_to_tdb_s(table.time.clock_began_utc, "[time] clock_began_utc")
@@ -138,7 +141,10 @@ class FrameMaker:
     def of_label(self, label: ArchiveLabel, file: str) -> Frame:
         """The frame that a label describes. Raises DataError for what it does not state."""
         table = self.table
+        self.notes.update(dict.fromkeys(check_label(label)))
         utc, tdb_s = read_time(label, table.time)
+        if table.attitude == AttitudeKeys() and self.kernels is not None:
+            return self.of_time(label.path, file, utc)
         camera_from_inertial = table.rotation * read_attitude(label, table.attitude)
         body_from_inertial = Rotation.from_matrix(self.motion.body_from_inertial(tdb_s))
         camera_from_body = camera_from_inertial * body_from_inertial.inv()

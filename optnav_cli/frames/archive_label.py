@@ -1,4 +1,4 @@
-"""Labels of archive pictures, read alike: FITS headers, PDS3 and PDS4 labels, lists of settings.
+"""Labels of archive pictures, read alike: FITS, PDS3, PDS4, VICAR, lists of settings.
 
 FITS is read here, pixels and all, because the GDAL of the wheels has no driver for it (FITS
 standard 4.0, sections 4 and 5: cards of 80 letters in blocks of 2880 bytes, big-endian pixels).
@@ -22,8 +22,10 @@ from catalog.keywords import MAX_SHOWN
 from optnav_cli.frames.label_units import EXAMPLES, Quantity, find_unit, unit_of_comment
 from optnav_cli.frames.odl import OdlError, Statement, read_statements
 from optnav_cli.frames.pds4_label import find_elements, read_elements
+from optnav_cli.frames.vicar_label import BEGINNING as VICAR_BEGINNING
+from optnav_cli.frames.vicar_label import read_pairs
 
-LabelFormat = Literal["fits", "pds3", "pds4", "settings"]
+LabelFormat = Literal["fits", "pds3", "pds4", "vicar", "settings"]
 Values = dict[str, tuple[str, ...]]
 
 MAX_BYTES = 256 * MEGABYTE  # of a FITS picture
@@ -168,6 +170,8 @@ def read_number(text: str) -> float | None:
 
 def read_label(path: Path, kind: LabelFormat) -> ArchiveLabel:
     """Read the label of a picture. Raises DataError for a file that is no label of its kind."""
+    if kind == "vicar":
+        return _vicar_label(path)
     raw = _head(path, MAX_LABEL)
     if kind == "fits":
         return _fits_label(path, raw)
@@ -186,6 +190,8 @@ def format_of(path: Path) -> LabelFormat | None:
     head = _head(path, 4096)
     if head.startswith(b"SIMPLE  ="):
         return "fits"
+    if head.startswith(VICAR_BEGINNING):
+        return "vicar"
     if _PDS3_HEAD.search(head):
         return "pds3"
     if re.search(rb"<(\w+:)?Product_Observational", head):
@@ -281,6 +287,16 @@ def _pds3_label(path: Path, text: str) -> ArchiveLabel:
             elif name not in values:
                 values[name], units[name] = texts, stated
     return ArchiveLabel(path, values, units, frozenset(doubled))
+
+
+def _vicar_label(path: Path) -> ArchiveLabel:
+    values: Values = {}
+    doubled: set[str] = set()
+    for group, key, texts in read_pairs(path):
+        for name in {key, f"{group}.{key}".removeprefix(".")}:
+            if values.setdefault(name, texts) != texts:
+                doubled.add(name)
+    return ArchiveLabel(path, values, doubled=frozenset(doubled))
 
 
 def _depth(statement: Statement) -> int:

@@ -26,6 +26,7 @@ LATITUDE_WORDS = {
     key: {word: word.lower() for word in ("PLANETOCENTRIC", "PLANETOGRAPHIC")}
     for key in ("COORDINATE_SYSTEM_NAME", "LATITUDE_TYPE")
 }
+MAX_SKEW = 0.05  # rad between a picture's sides: corners of archives agree to 1e-5
 INERTIAL = re.compile(r"J\W?2000|EME\W?2000|ICR[FS]|GCRF")
 BODY_FIXED = re.compile(r"FIXED|^IAU[_ ]|BODY")
 MAX_ANGLE_RAD = 2.0 * np.pi + 1e-6  # of right ascensions, longitudes and rolls
@@ -71,15 +72,18 @@ class VectorKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class AttitudeKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Keywords of the attitude, one of both.
+    """Keywords of the attitude, one of three; none: SPICE kernels have it.
 
     quaternion  scalar first, of the rotation taking vectors of the stars' axes to the label's frame
     boresight   its right ascension, its declination and the clock angle of celestial north, from
                 the picture's top clockwise, deg
+    corners     right ascension and declination, deg, of the picture's corners: upper left, upper
+                right, lower right, lower left
     """
 
     quaternion: Keys = ()
     boresight: Keys = ()
+    corners: Keys = ()
 
 
 def check_keys(
@@ -88,11 +92,16 @@ def check_keys(
     attitude: AttitudeKeys,
     position: VectorKeys | None,
     sun: VectorKeys | None,
+    *,
+    has_spice: bool,
 ) -> None:
     """Check that a table names each quantity once. Raises ConfigError."""
-    counts = len(attitude.quaternion), len(attitude.boresight)
-    if counts not in ((4, 0), (1, 0), (0, 3), (0, 1)):
-        raise ConfigError(f"{path}: [attitude] wants 4 keys of a quaternion or 3 of a boresight")
+    counts = len(attitude.quaternion), len(attitude.boresight), len(attitude.corners)
+    allowed = ((4, 0, 0), (1, 0, 0), (0, 3, 0), (0, 1, 0), (0, 0, 8))
+    if counts not in allowed and not (has_spice and counts == (0, 0, 0)):
+        raise ConfigError(
+            f"{path}: [attitude] wants 4 keys of a quaternion, 3 of a boresight or 8 of corners"
+        )
     if sum(map(bool, (time.utc, time.unix, time.clock, time.fields))) != 1:
         raise ConfigError(f"{path}: [time] wants one of utc, unix, clock, fields")
     if len(time.fields) not in (0, 6):
@@ -219,8 +228,13 @@ def _above_point(label: ArchiveLabel, keys: VectorKeys, body: Body) -> FloatArra
         range_m = float(label.numbers((keys.range,), "length", keys.unit_m)[0])
         if not range_m > 0.0:
             raise DataError(f"{label.path}: {keys.range} is {range_m:g} m; wanted a distance > 0")
-    return range_m * np.array([np.cos(latitude) * np.cos(longitude),
-                               np.cos(latitude) * np.sin(longitude), np.sin(latitude)])  # fmt: skip
+    return range_m * _direction(longitude, latitude)
+
+
+def _direction(longitude: float, latitude: float) -> FloatArray:
+    """The unit vector (3,) of two angles, rad."""
+    return np.array([np.cos(latitude) * np.cos(longitude),
+                     np.cos(latitude) * np.sin(longitude), np.sin(latitude)])  # fmt: skip
 
 
 def _stated_word(label: ArchiveLabel, words: Mapping[str, Mapping[str, str]], default: str) -> str:
@@ -254,7 +268,11 @@ def _angles(label: ArchiveLabel, keys: Keys, count: int) -> FloatArray:
 
 def read_attitude(label: ArchiveLabel, keys: AttitudeKeys) -> Rotation:
     """The rotation from the stars' axes to the label's frame, or to the camera's."""
-    check_frame(label, keys.quaternion or keys.boresight)
+    if not (keys.quaternion or keys.boresight or keys.corners):
+        raise DataError(
+            f"{label.path}: its label states no attitude; name SPICE kernels with it (--kernel)"
+        )
+    check_frame(label, keys.quaternion or keys.boresight or keys.corners)
     if keys.quaternion:
         numbers = label.numbers(keys.quaternion)
         if numbers.shape != (4,):
@@ -262,11 +280,30 @@ def read_attitude(label: ArchiveLabel, keys: AttitudeKeys) -> Rotation:
         if not abs(float(np.linalg.norm(numbers)) - 1.0) < 0.01:
             raise DataError(f"{label.path}: its quaternion has no length of 1")
         return Rotation.from_quat(numbers, scalar_first=True)
+    if keys.corners:
+        return _between_corners(label, keys.corners)
     ascension, declination, clock = _angles(label, keys.boresight, 3)
-    axis = np.array([np.cos(declination) * np.cos(ascension),
-                     np.cos(declination) * np.sin(ascension), np.sin(declination)])  # fmt: skip
+    axis = _direction(ascension, declination)
     east = np.array([-np.sin(ascension), np.cos(ascension), 0.0])
     north = np.cross(axis, east)
     # north stands `clock` right of the top; east, seen from inside the sphere, a quarter left of it
     up = np.cos(clock) * north + np.sin(clock) * east
     return Rotation.from_matrix(np.array([np.cross(-up, axis), -up, axis]))
+
+
+def _between_corners(label: ArchiveLabel, keys: Keys) -> Rotation:
+    """The attitude of a picture whose corners lie in stated directions about its boresight."""
+    angles = _angles(label, keys, 8).reshape(4, 2)
+    upper_left, upper_right, lower_right, lower_left = (_direction(*pair) for pair in angles)
+    right = upper_right + lower_right - upper_left - lower_left
+    down = lower_left + lower_right - upper_left - upper_right
+    forward = upper_left + upper_right + lower_right + lower_left
+    axes = np.array([right, down, forward])
+    axes /= np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-12)
+    if not (np.abs(axes @ axes.T - np.eye(3)).max() < MAX_SKEW and np.linalg.det(axes) > 0.0):
+        raise DataError(
+            f"{label.path}: {', '.join(keys)} are no corners of a picture in this order; wanted "
+            "upper left, upper right, lower right, lower left as the rows are stored"
+        )
+    left, _, back = np.linalg.svd(axes)
+    return Rotation.from_matrix(left @ back)

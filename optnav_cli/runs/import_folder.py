@@ -173,11 +173,12 @@ class _Importer:
         motion = self._motion_of(source, where, table)
         named = self._options.camera
         pose, shot = _read_cube(source, table)
+        picture = own_picture or _picture_path(source, table)
         if shot is not None and not (named or table.camera):
             camera = shot.camera
         else:
-            camera = _camera(named or table.camera, Path() if named else where.parent, source)
-        picture = own_picture or _picture_path(source, table)
+            beside = Path() if named else where.parent
+            camera = _camera(named or table.camera, beside, source, picture)
         upside_down = shot is not None and shot.upside_down
         if source.cube is not None and picture == source.path:
             camera = crop_camera(picture, source.cube, camera, upside_down)
@@ -344,17 +345,35 @@ def _read_cube(source: _Source, table: ImportTable) -> tuple[CubePose | None, Cu
     return pose, read_cube_camera(source.path, source.cube, body_isis)
 
 
-def _camera(name: str, beside: Path, source: _Source) -> Camera:
-    if not name and source.cube is not None:
+def _camera(names: str | tuple[str, ...], beside: Path, source: _Source, picture: Path) -> Camera:
+    """The camera of a name, or the first of several that takes pictures of this one's size."""
+    if not names and source.cube is not None:
         raise DataError(
             f"{source.path}: its label has no NaifKeywords with a focal length, as spiceinit "
             "writes them since 2011; run it anew, or name the camera with --camera"
         )
-    if not name:
+    if not names:
         raise DataError(f"{source.path}: no camera is known for it; name one with --camera")
-    if is_body_file(name):
-        return load_camera(beside / name)
-    return preset_camera(name)
+    cameras = [
+        load_camera(beside / name) if is_body_file(name) else preset_camera(name)
+        for name in ((names,) if isinstance(names, str) else names)
+    ]
+    if len(cameras) == 1:
+        return cameras[0]
+    try:
+        shape = _picture_shape(source, picture)
+    except DataError:  # said where the picture is read
+        return cameras[0]
+    return next((camera for camera in cameras if camera.shape == shape), cameras[0])
+
+
+def _picture_shape(source: _Source, picture: Path) -> tuple[int, int]:
+    """Rows and columns of a picture. Raises DataError."""
+    label = source.label
+    if label is not None and source.kind == "fits" and picture == label.path:
+        return fits_picture(label).shape[:2]
+    rows, columns = _archive_raster(source, picture).shape
+    return rows, columns
 
 
 def _picture_path(source: _Source, table: ImportTable) -> Path:
