@@ -83,6 +83,7 @@ class ReasonCode(StrEnum):
     METHODS_DISAGREE = "methods_disagree", "two methods give positions apart by many sigmas"
     CONTRADICTS_ARC = "contradicts_arc", "the position does not lie where the orbit arc leads"
     TOO_FAST = "too_fast", "no craft comes from the fix before to this position in the time"
+    PICTURE_REMARK = "picture_remark", "how the picture was read, which people must know"
     NEIGHBOUR_IN_VIEW = "neighbour_in_view", "a second body in the picture was recognised"
     # a descent
     TRACK_JUMP = "track_jump", "the inertial track jumps, or the ground lies where it does not lead"

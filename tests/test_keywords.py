@@ -17,8 +17,11 @@ READERS: tuple[str, ...] = (
     "catalog.bodies.daf",
     "catalog.bodies.star_catalog",
     "catalog.terrain.dem.label_keywords",
+    "optnav_cli.frames.fits_picture",
     "optnav_cli.frames.isis_keywords",
     "optnav_cli.frames.label_keywords",
+    "optnav_cli.frames.label_pixels",
+    "optnav_cli.frames.picture_tags",
     "optnav_cli.orbit.oem_reader",
 )
 

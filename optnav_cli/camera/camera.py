@@ -15,8 +15,10 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import BoolArray, FloatArray
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.camera import lens
+from optnav_cli.camera.coding import Coding
 
 Model = Literal["pinhole", "equidistant", "kannala_brandt"]
+LineOrder = Literal["top_first", "bottom_first"]
 Distortion = Literal["none", "brown", "opencv"]
 
 PIXEL_SIGMA_PX = math.sqrt(1.0 / 12.0)  # of the square that a pixel is
@@ -44,6 +46,12 @@ class Camera:
     saturation_counts       counts of its pictures from which on a pixel is full; None: not stated
     valid_area_px           left, top, right, bottom pixel that belong to the picture; those beyond
                             have no value; None for all
+    valid_mask              path of a picture that is 0 where a pixel has no value
+    channel                 of colour pictures; None: luminance, with a remark
+    exif_orientation        whether pictures are turned as their EXIF tag says; None: not stated
+    line_order              which row of a file is the uppermost of the picture
+    extension               number or name of the picture in FITS files; empty: the first
+    coding                  of counts that are not linear in light
     """
 
     name: str
@@ -65,6 +73,12 @@ class Camera:
     principal_point_error_px: float = 0.0
     saturation_counts: float | None = None
     valid_area_px: tuple[int, int, int, int] | None = None
+    valid_mask: str | None = None
+    channel: Literal["red", "green", "blue", "luminance"] | None = None
+    exif_orientation: Literal["apply", "ignore"] | None = None
+    line_order: LineOrder = "top_first"
+    extension: str = ""
+    coding: Coding | None = None
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -1,13 +1,14 @@
 """Camera files: TOML in, checked, and out again."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
 from catalog.config import load_toml, nearest_name, resource
 from catalog.errors import ConfigError
-from optnav_cli.camera.camera import Camera, Distortion, Model
+from optnav_cli.camera.camera import Camera, Distortion, LineOrder, Model
+from optnav_cli.camera.coding import Coding
 
 # Focal length, pitch and their ratio are each printed with about four digits.
 AGREEMENT = 1e-3
@@ -56,6 +57,12 @@ class CameraFileSettings(msgspec.Struct, forbid_unknown_fields=True, omit_defaul
     principal_point_error_px: Annotated[float, msgspec.Meta(ge=0.0, le=1e5)] = 0.0
     saturation_counts: Annotated[float, msgspec.Meta(gt=0.0, le=1e30)] | None = None
     valid_area_px: tuple[Edge, Edge, Edge, Edge] | None = None
+    valid_mask: str | None = None
+    channel: Literal["red", "green", "blue", "luminance"] | None = None
+    exif_orientation: Literal["apply", "ignore"] | None = None
+    line_order: LineOrder = "top_first"
+    extension: int | str = ""
+    coding: Coding | None = None
 
 
 def load_camera(path: str | Path) -> Camera:
@@ -72,7 +79,11 @@ def load_camera(path: str | Path) -> Camera:
     values = msgspec.structs.asdict(settings) | {
         "focal_length_px": focal_px,
         "focal_length_y_px": _focal_length_y_px(settings, focal_px, where),
+        "extension": str(settings.extension),
+        "coding": settings.coding,
     }
+    if settings.valid_mask is not None:
+        values["valid_mask"] = str((Path(path).parent / settings.valid_mask).absolute())
     del values["focal_length_mm"], values["pixel_pitch_y_um"]
     return Camera(**values)
 
@@ -122,11 +133,26 @@ def camera_toml(camera: Camera) -> str:
     if camera.boresight_arcsec is not None:
         turns = ", ".join(repr(float(angle)) for angle in camera.boresight_arcsec)
         lines.append(f"boresight_arcsec = [{turns}]")
+    return "\n".join([*lines, *_picture_lines(camera)]) + "\n" + _coding_toml(camera)
+
+
+def _picture_lines(camera: Camera) -> list[str]:
+    """Keys of how a camera's pictures are to be read."""
+    lines = []
     if camera.saturation_counts is not None:
         lines.append(f"saturation_counts = {float(camera.saturation_counts)!r}")
     if camera.valid_area_px is not None:
         lines.append(f"valid_area_px = {list(camera.valid_area_px)}")
-    return "\n".join(lines) + "\n"
+    for key in ("valid_mask", "channel", "exif_orientation", "extension"):
+        if text := getattr(camera, key):
+            lines.append(f"{key} = {msgspec.json.encode(text).decode()}")
+    if camera.line_order != "top_first":
+        lines.append(f'line_order = "{camera.line_order}"')
+    return lines
+
+
+def _coding_toml(camera: Camera) -> str:
+    return "" if camera.coding is None else camera.coding.toml()
 
 
 def _check_picture(settings: CameraFileSettings, where: str) -> None:
@@ -137,6 +163,8 @@ def _check_picture(settings: CameraFileSettings, where: str) -> None:
         )
     if not is_plain_name(settings.name):
         raise ConfigError(f"{where}: name is '{settings.name}'; wanted a plain word")
+    if settings.coding is not None and (problem := settings.coding.problem()):
+        raise ConfigError(f"{where}: [coding]: {problem}")
     if settings.valid_area_px is not None:
         left, top, right, bottom = settings.valid_area_px
         if not (left < right < settings.width_px and top < bottom < settings.height_px):

@@ -84,6 +84,10 @@ class ImportTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     attitude_sigma_deg, position_sigma_m  what labels of this kind are off by, 1 sigma an axis
     attitude_free      the attitude is a first guess only
     unknown            what the labels do not say, a line each
+    extension          number or name of the picture in a FITS file; left out: the first
+    line_order         which line of a file is the picture's uppermost: the first, the last, or as
+                       the label says of its display; left out: the first, with a remark where the
+                       label says otherwise
     """
 
     format: LabelFormat | Literal["isis", "times"]
@@ -102,6 +106,8 @@ class ImportTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     attitude_free: bool = False
     position_sigma_m: Sigma | None = None
     unknown: tuple[str, ...] = ()
+    extension: int | str = ""
+    line_order: Literal["top_first", "bottom_first", "label"] | None = None
 
     @property
     def rotation(self) -> Rotation:

@@ -1,7 +1,5 @@
 """Labels of archive pictures, read alike: FITS, PDS3, PDS4, VICAR, lists of settings.
 
-FITS is read here, pixels and all, because the GDAL of the wheels has no driver for it (FITS
-standard 4.0, sections 4 and 5: cards of 80 letters in blocks of 2880 bytes, big-endian pixels).
 PDS3 labels are read in odl.py, their units in label_units.py.
 """
 
@@ -13,12 +11,12 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
-from catalog.inputs import MEGABYTE, check_input, read_input
+from catalog.inputs import MEGABYTE, check_input
 from catalog.keywords import MAX_SHOWN
+from optnav_cli.frames.fits_picture import fits_headers
 from optnav_cli.frames.label_units import EXAMPLES, Quantity, find_unit, unit_of_comment
 from optnav_cli.frames.odl import OdlError, Statement, read_statements
 from optnav_cli.frames.pds4_label import find_elements, read_elements
@@ -28,11 +26,9 @@ from optnav_cli.frames.vicar_label import read_pairs
 LabelFormat = Literal["fits", "pds3", "pds4", "vicar", "settings"]
 Values = dict[str, tuple[str, ...]]
 
-MAX_BYTES = 256 * MEGABYTE  # of a FITS picture
 MAX_LABEL = MEGABYTE
 MAX_NUMBER = 1e18  # km of a far star
 _BLOCK, _CARD = 2880, 80
-_TYPES = {"8": "u1", "16": ">i2", "32": ">i4", "-32": ">f4", "-64": ">f8"}
 # Without these values stand for one that is missing (PDS Standards Reference 3.8, section 17.2).
 _NOT_STATED = ("", "-", "N/A", "NA", "UNK", "NULL", "NOT APPLICABLE", "NOT_APPLICABLE", "UNKNOWN")
 # An SFDU head goes before, or stands instead of, the version; NJPL is that of the first archives.
@@ -168,13 +164,17 @@ def read_number(text: str) -> float | None:
     return -value if "-" in (based[1], based[3]) else value
 
 
-def read_label(path: Path, kind: LabelFormat) -> ArchiveLabel:
-    """Read the label of a picture. Raises DataError for a file that is no label of its kind."""
+def read_label(path: Path, kind: LabelFormat, extension: str = "") -> ArchiveLabel:
+    """Read the label of a picture. Raises DataError for a file that is no label of its kind.
+
+    extension  number or name of the picture in a FITS file; empty: the first
+    """
     if kind == "vicar":
         return _vicar_label(path)
-    raw = _head(path, MAX_LABEL)
     if kind == "fits":
-        return _fits_label(path, raw)
+        check_input(path)
+        return _fits_label(path, fits_headers(path, extension))
+    raw = _head(path, MAX_LABEL)
     if kind == "pds3":
         return _pds3_label(path, raw.decode("latin-1"))
     text = raw.decode("utf-8-sig", "replace")
@@ -207,33 +207,6 @@ def _head(path: Path, size: int) -> bytes:
             return file.read(size)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from None
-
-
-def fits_picture(label: ArchiveLabel) -> NDArray[np.generic]:
-    """The picture (rows, columns) of a FITS file, its first row first. Raises DataError."""
-    path = label.path
-    axes = [label.text("NAXIS")] + [label.values.get(f"NAXIS{i}", ("",))[0] for i in (1, 2)]
-    kind = label.text("BITPIX")
-    if axes[0] != "2" or kind not in _TYPES or not all(size.isdigit() for size in axes[1:]):
-        raise DataError(
-            f"{path}: has {axes[0]} axes of {'x'.join(axes[1:])} numbers, BITPIX {kind}; wanted a "
-            "FITS picture of two axes"
-        )
-    columns, rows = int(axes[1]), int(axes[2])
-    raw = read_input(path, limit=MAX_BYTES)
-    start = _header_bytes(path, raw)
-    layout = np.dtype(_TYPES[kind])
-    if rows * columns == 0 or len(raw) < start + rows * columns * layout.itemsize:
-        raise DataError(f"{path}: is cut short: {columns} x {rows} pixels do not fit")
-    stored = np.frombuffer(raw, layout, rows * columns, start).reshape(rows, columns)
-    scale, zero = (
-        label.numbers((key,))[0] if key in label.values else default
-        for key, default in (("BSCALE", 1.0), ("BZERO", 0.0))
-    )
-    if (scale, zero) == (1.0, 0.0):
-        return stored.astype(layout.newbyteorder("="))
-    with np.errstate(over="ignore"):  # pixels without a value
-        return (stored * scale + zero).astype(np.float32)
 
 
 def _header_bytes(path: Path, raw: bytes) -> int:

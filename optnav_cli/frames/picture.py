@@ -1,54 +1,44 @@
-"""One picture file: PNG, TIFF, PGM, ISIS cube or what else rasterio reads, checked for use.
-
-GDAL reads all of them, because it fails where a file breaks off, while some other readers fill the
-rest with zeros. With a PNG it does not fail, so the checksums of a PNG's chunks are checked here.
-"""
+"""One picture file: PNG, TIFF, PGM, FITS, ISIS cube or what else is read, checked for use."""
 
 import math
-import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.enums import ColorInterp, MaskFlags
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import DataError
 from catalog.inputs import check_input
 from catalog.rasters import PICTURES, open_raster, reading_raster
-from catalog.special_values import ISIS, SpecialValues
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import MAX_PIXELS
+from optnav_cli.frames.fits_picture import find_unit, fits_shape, is_fits, read_fits
 from optnav_cli.frames.frames import picture_path
 from optnav_cli.frames.full_scale import find_full_scale
+from optnav_cli.frames.picture_tags import check_tags, read_tags
+from optnav_cli.frames.raster_pixels import read_raster
+from optnav_cli.frames.stored_pixels import StoredPixels
 
 # the highest value of the integer types pictures are stored in
 _SATURATION = {"uint8": 255.0, "uint16": 65535.0}
 # No camera's counts end so low, and no surface but a specular one is as bright as I/F.
 HIGHEST_FRACTION = 16.0
 MAX_VALUE = 1e30  # beyond it squares of single precision overflow in places
-PIECE = 1 << 20  # bytes that are read at once
-ISIS_DRIVERS = ("ISIS3", "ISIS2")
-_RGBA = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
-_PNG = b"\x89PNG\r\n\x1a\n"
-
-
-class _Pixels(NamedTuple):
-    """Pixels of a file.
-
-    values   (h, w) as stored;  kind  name of the stored type
-    missing  (h, w) marks those without a value; None for none
-    full     full scale as the file states it; None where it does not
-    """
-
-    values: NDArray[np.generic]
-    kind: str
-    missing: BoolArray | None
-    full: float | None = None
+# What viewers do with stored pixels, by the number of EXIF's tag (EXIF 2.3, 4.6.4 A).
+_TURNS: dict[str, Callable[[NDArray[Any]], NDArray[Any]]] = {
+    "2": np.fliplr,
+    "3": partial(np.rot90, k=2),
+    "4": np.flipud,
+    "5": np.transpose,
+    "6": partial(np.rot90, k=-1),
+    "7": lambda stored: np.rot90(stored, k=2).T,
+    "8": np.rot90,
+}
+_SIDEWAYS = ("5", "6", "7", "8")
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +51,13 @@ class Picture:
                 it, else the highest value of the file's type; None where that has no such limit
     valid       (height, width) False where a pixel has no value: it is neither sky nor ground;
                 None where all have one
+    remarks     what people must know of it, a line each
     """
 
     values: Float32Array
     saturation: float | None
     valid: BoolArray | None = None
+    remarks: tuple[str, ...] = ()
 
     def loaded(self) -> "Picture":
         """The picture itself, read by now."""
@@ -90,23 +82,29 @@ def load_picture(path: str | Path, camera: Camera | None) -> Picture:
     """Read a picture of a camera; of any size where there is none yet.
 
     Raises DataError, with the reason, for a file that is missing, broken, of another size than the
-    camera's pictures, in colours other than gray, or without content: all black, all white, all of
-    one value, without a pixel that has a value.
+    camera's pictures, that states what cannot be applied, or without content: all black, all
+    white, all of one value, without a pixel that has a value.
     """
     path = Path(path)
     if check_input(path, "picture", "add it to the folder") == 0:
         raise DataError(f"{path}: the picture is an empty file")
-    _check_png(path)
-    pixels = _read(path, camera)
+    tags = read_tags(path)
+    oriented = camera is not None and camera.exif_orientation is not None
+    coded = camera is not None and camera.coding is not None
+    remarks = check_tags(path, tags, oriented=oriented, coded=coded)
+    turn = tags.get("Orientation", "1") if camera and camera.exif_orientation == "apply" else "1"
+    pixels = _turned(_read(path, camera, turn), turn, camera)
     missing = _missing(pixels, camera)
     saturation = _saturation(path, pixels, missing, camera)
-    values, factor = _counts(pixels.values, missing)
+    values, saturation = _decoded(pixels, saturation, camera)
+    values, factor = _counts(values, missing)
     counts = values.astype(np.float32)
     saturation = None if saturation is None else saturation * factor
+    remarks += pixels.remarks
     if missing is None:
-        return Picture(counts, saturation)
+        return Picture(counts, saturation, None, tuple(remarks))
     counts[missing] = np.nan
-    return Picture(counts, saturation, ~missing)
+    return Picture(counts, saturation, ~missing, tuple(remarks))
 
 
 def frame_picture(folder: Path, file: str, camera: Camera) -> Picture:
@@ -122,9 +120,12 @@ def frame_picture(folder: Path, file: str, camera: Camera) -> Picture:
         raise DataError(str(error).replace(str(path), file)) from None
 
 
-def _missing(pixels: _Pixels, camera: Camera | None) -> BoolArray | None:
+def _missing(pixels: StoredPixels, camera: Camera | None) -> BoolArray | None:
     """Mark the pixels (h, w) that have no value, by the file or outside the usable area."""
     missing = pixels.missing
+    if camera is not None and camera.valid_mask is not None:
+        outside = _mask(Path(camera.valid_mask), camera.shape)
+        missing = outside if missing is None else missing | outside
     if camera is not None and camera.valid_area_px is not None:
         left, top, right, bottom = camera.valid_area_px
         outside = np.ones(pixels.values.shape, np.bool_)
@@ -133,8 +134,21 @@ def _missing(pixels: _Pixels, camera: Camera | None) -> BoolArray | None:
     return missing if missing is not None and missing.any() else None
 
 
+def _mask(path: Path, shape: tuple[int, int]) -> BoolArray:
+    """Mark the pixels (h, w) where a camera's mask picture is 0. Raises DataError."""
+    check_input(path, "mask picture", "correct valid_mask of the camera file")
+    with open_raster(path, PICTURES) as dataset, reading_raster(path, siblings=False):
+        if dataset.shape != shape:
+            raise DataError(
+                f"{path}: the mask is {dataset.width} x {dataset.height}; wanted the size of the "
+                f"camera's pictures, {shape[1]} x {shape[0]}"
+            )
+        outside: BoolArray = dataset.read(1) == 0
+        return outside
+
+
 def _saturation(
-    path: Path, pixels: _Pixels, missing: BoolArray | None, camera: Camera | None
+    path: Path, pixels: StoredPixels, missing: BoolArray | None, camera: Camera | None
 ) -> float | None:
     """Full scale of a picture: stated, else as clipped pixels show it, else of the file's type.
 
@@ -148,7 +162,7 @@ def _saturation(
         )
     largest = _SATURATION.get(pixels.kind)
     _check_content(path, valid, largest)
-    if camera is not None and camera.saturation_counts is not None:
+    if camera is not None and camera.saturation_counts is not None and not pixels.imported:
         return camera.saturation_counts
     if pixels.full is not None:
         return pixels.full
@@ -177,112 +191,56 @@ def _counts(
     return scaled, math.ldexp(1.0, exponent)
 
 
-def _check_png(path: Path) -> None:
-    """Refuse a PNG that does not reach its end or holds a chunk with a wrong checksum."""
-    try:
-        with path.open("rb") as file:
-            if file.read(len(_PNG)) == _PNG:
-                _check_chunks(path, file)
-    except OSError as error:
-        raise DataError(f"{path}: the picture cannot be read: {error.strerror}") from None
-
-
-def _check_chunks(path: Path, file: BinaryIO) -> None:
-    kind = b""
-    while kind != b"IEND":
-        place = file.tell()
-        head = file.read(8)
-        length, kind = struct.unpack(">I4s", head) if len(head) == 8 else (0, b"")
-        checksum = zlib.crc32(kind)
-        while length and (piece := file.read(min(length, PIECE))):
-            checksum = zlib.crc32(piece, checksum)
-            length -= len(piece)
-        stated = file.read(4)
-        if length or len(stated) < 4:
-            raise DataError(f"{path}: the picture is broken: it ends after {file.tell()} bytes")
-        if checksum != struct.unpack(">I", stated)[0]:
-            raise DataError(f"{path}: the picture is broken: wrong checksum at byte {place}")
-
-
-def _read(path: Path, camera: Camera | None) -> _Pixels:
-    """The pixels, all bands being the same."""
+def _read(path: Path, camera: Camera | None, turn: str) -> StoredPixels:
+    """The pixels of a file, one band, as it has them."""
+    if is_fits(path):
+        unit = find_unit(path, "" if camera is None else camera.extension)
+        if unit.is_picture:  # else reading it says what it is
+            _check_size(path, fits_shape(unit), camera, turn)
+        return read_fits(path, unit)
     with open_raster(path, PICTURES) as dataset, reading_raster(path, siblings=False):
         # before its pixels are decoded: a small file can hold a huge picture
-        if camera is None:
-            _check_size(path, dataset.width, dataset.height)
-        elif dataset.shape != camera.shape:
-            raise DataError(
-                f"{path}: the picture is {dataset.width} x {dataset.height}; camera "
-                f"'{camera.name}' takes {camera.width_px} x {camera.height_px}"
-            )
-        values, missing = _gray(path, dataset), _masked(dataset)
-        kind, full = dataset.dtypes[0], None
-        scale, offset = dataset.scales[0], dataset.offsets[0]
-        if dataset.driver in ISIS_DRIVERS and kind in ISIS:
-            values, missing, full = _without_special(values, missing, ISIS[kind])
-        if values.dtype.kind == "f":
-            missing = missing | np.isnan(values)
-        if (scale, offset) != (1.0, 0.0):
-            values = (values.astype(np.float64) * scale + offset).astype(np.float32)
-            full = None if full is None else full * scale + offset
-        return _Pixels(values, kind, missing if missing.any() else None, full)
+        _check_size(path, dataset.shape, camera, turn)
+        return read_raster(path, dataset, None if camera is None else camera.channel)
 
 
-def _without_special(
-    stored: NDArray[np.generic], missing: BoolArray, special: SpecialValues
-) -> tuple[NDArray[np.generic], BoolArray, float | None]:
-    """Values with the highest valid one where they are saturated, what is missing, full scale."""
-    missing = missing | special.is_missing(stored)
-    full = special.is_saturated(stored)
-    valid = stored[~(missing | full)]
-    if not full.any() or not valid.size:
-        return stored, missing | full, None
-    highest = valid.max()
-    return np.where(full, highest, stored), missing, float(highest)
-
-
-def _masked(dataset: Any) -> BoolArray:
-    """Mark the pixels (h, w) that GDAL's mask leaves out: alpha, mask band, no-data value."""
-    plain = dataset.colorinterp[0] != ColorInterp.palette
-    if plain and dataset.mask_flag_enums[0] == [MaskFlags.all_valid]:
-        return np.zeros((1, 1), np.bool_)
-    masked: BoolArray = dataset.read_masks(1) != 255
-    if dataset.colorinterp[0] == ColorInterp.palette:
-        opaque = np.ones(256, np.bool_)
-        for index, colour in dataset.colormap(1).items():
-            opaque[index] = colour[3] == 255
-        masked = masked | ~opaque[dataset.read(1)]
-    return masked
-
-
-def _check_size(path: Path, width: int, height: int) -> None:
-    if width * height > MAX_PIXELS:
+def _check_size(path: Path, shape: tuple[int, int], camera: Camera | None, turn: str) -> None:
+    """Raise DataError for a picture, as stored, of another size than the camera's, or too large."""
+    height, width = shape[::-1] if turn in _SIDEWAYS else shape
+    if camera is not None and (height, width) != camera.shape:
+        raise DataError(
+            f"{path}: the picture is {width} x {height}; camera "
+            f"'{camera.name}' takes {camera.width_px} x {camera.height_px}"
+        )
+    if camera is None and width * height > MAX_PIXELS:
         raise DataError(
             f"{path}: the picture is {width} x {height}; wanted at most {MAX_PIXELS:,} pixels: "
             "scale it down"
         )
 
 
-def _gray(path: Path, dataset: Any) -> NDArray[np.generic]:
-    """The values (h, w) of a picture whose bands are all the same."""
-    values: NDArray[np.generic] = dataset.read(1)
-    if dataset.colorinterp[0] == ColorInterp.palette:
-        colours = np.zeros((256, 4), np.uint8)
-        for index, colour in dataset.colormap(1).items():
-            colours[index] = colour
-        bands = [(colours[:, number][values], kind) for number, kind in enumerate(_RGBA)]
-        values = bands[0][0]
-    else:
-        numbered = zip(dataset.indexes[1:], dataset.colorinterp[1:], strict=True)
-        bands = [(dataset.read(number), kind) for number, kind in numbered]
-    for band, kind in bands:
-        if kind != ColorInterp.alpha and not np.array_equal(band, values):
-            row, column = (int(places[0]) for places in np.nonzero(band != values))
-            raise DataError(
-                f"{path}: the picture is in colour: at pixel ({column}, {row}) one band is "
-                f"{values[row, column]} and another {band[row, column]}; wanted gray: convert it"
-            )
-    return values
+def _turned(pixels: StoredPixels, turn: str, camera: Camera | None) -> StoredPixels:
+    """Pixels in the order of the camera's rows, and turned as an EXIF orientation says."""
+    values, missing = pixels.values, pixels.missing
+    if camera is not None and camera.line_order == "bottom_first":
+        values, missing = values[::-1], None if missing is None else missing[::-1]
+    turned = _TURNS.get(turn)
+    if turned is not None:
+        values, missing = turned(values), None if missing is None else turned(missing)
+    return pixels._replace(values=values, missing=missing)
+
+
+def _decoded(
+    pixels: StoredPixels, saturation: float | None, camera: Camera | None
+) -> tuple[NDArray[np.generic], float | None]:
+    """Counts that are linear in light, and their full scale."""
+    if camera is None or camera.coding is None:
+        return pixels.values, saturation
+    full = camera.saturation_counts or _SATURATION.get(pixels.kind) or 1.0
+    values = camera.coding.decode(pixels.values, full)
+    if saturation is not None:
+        saturation = float(camera.coding.decode(np.array([saturation]), full)[0])
+    return values, saturation
 
 
 def _check_content(path: Path, values: NDArray[np.generic], saturation: float | None) -> None:

@@ -175,7 +175,10 @@ def calibrate_grid(
         files, dots, skipped, blank = [], [], [], None
         with progress.stage(STAGE, len(given.pictures), "picture") as bar:
             for path in given.pictures:
-                values = load_picture(path, blank).values
+                picture = load_picture(path, blank)
+                values = np.nan_to_num(picture.values, nan=0.0)
+                for remark in picture.remarks:
+                    _log.warning("%s", remark)
                 height, width = values.shape
                 blank = blank or Camera(
                     given.name, "pinhole", width, height, max(width, height), (0.0, 0.0)

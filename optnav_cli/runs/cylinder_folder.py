@@ -152,6 +152,8 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
         else:
             fit = fit_cylinder(profile, lens, size)
             row = _row(frame, fit, profile.cut, camera, settings)
+            if picture.remarks:
+                row = replace(row, reason=_joined(row.reason, "; ".join(picture.remarks)))
             if row.zone == "cut" and _is_dazzled(values, picture.saturation):
                 fit, row = None, _unsolved(frame, values, picture.saturation, row.reason)
     except NoSolutionError as error:

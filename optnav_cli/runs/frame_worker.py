@@ -54,6 +54,7 @@ from optnav_cli.runs.inputs import open_catalogs, open_field, open_ground, whole
 from optnav_cli.runs.orbit_prior import orbit_inputs, with_orbit
 
 STARS = "stars"  # the question of a frame's answers
+REMARKS = "remarks on the picture"  # likewise; kept where there are some
 MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}
 # A patch that takes up more of the picture's width than this is not outlined.
 MAX_OUTLINE = 0.2
@@ -278,13 +279,13 @@ class FrameWorker:
             points = self.points_of(frame)
             if points is not None:
                 return self.picked.solve(frame, camera, points), True
-            if not answers:
-                self._picture(frame, camera)
+            if not answers and (remarks := self._picture(frame, camera).remarks):
+                answers[REMARKS] = pack(remarks)
             if frame.camera_from_body is None:
                 frame = self._with_stars(frame, camera, answers)
             code = ReasonCode.BAD_DATA
             later = LaterPicture(lambda: self._picture(frame, camera))
-            return navigator.solve(frame, camera, later, answers), False
+            return _remarked(navigator.solve(frame, camera, later, answers), answers), False
         except NoSolutionError as error:
             return _unsolved(frame, ReasonCode(error.code), str(error)), True
         except DataError as error:
@@ -375,6 +376,15 @@ class FrameWorker:
         """A frame's picture; the last one is at hand. Raises DataError."""
         path, file = self.folder.path, frame.file
         return self._pictures.get(file, lambda: frame_picture(path, file, camera))
+
+
+def _remarked(row: Solution, answers: Answers) -> Solution:
+    """A row with the remarks on its picture."""
+    if REMARKS not in answers:
+        return row
+    text = "; ".join(unpack(answers[REMARKS], tuple[str, ...]))
+    remark = Reason(ReasonCode.PICTURE_REMARK, text)
+    return replace(row, outcome=replace(row.outcome, reason=row.outcome.reason.followed_by(remark)))
 
 
 def unseen_record() -> FrameRecord:

@@ -130,6 +130,8 @@ def hazard_picture(
     camera = load_camera(camera_file)
     image = load_picture(picture, camera)
     frame = MappedFrame(picture.name, camera, image)
+    for remark in image.remarks:
+        log.warning("%s", remark)
     try:
         view = look_down(image, camera, light.height_m, light.elevation_deg, light.azimuth_deg)
         frame.mapped = map_hazard(view, settings)
@@ -206,6 +208,8 @@ def _map_frame(
         if row.problem or camera is None:
             raise NoSolutionError(row.problem or f"there is no camera '{row.camera}'", "bad_row")
         frame.picture = frame_picture(folder.path, row.file, camera)
+        for remark in frame.picture.remarks:
+            log.warning("%s", remark)
         frame.mapped = _mapped(folder, row, camera, frame.picture, ground, inputs, prior)
     except (NoSolutionError, DataError) as error:
         frame.reason = str(error)

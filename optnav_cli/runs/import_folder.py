@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 
+from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import is_body_file, load_body
 from catalog.bodies.ephemeris import Ephemeris, motion_of
 from catalog.bodies.epochs import utc_to_tdb_s
@@ -20,20 +20,31 @@ from catalog.bodies.kernels import KernelSet
 from catalog.config import nearest_name, resource
 from catalog.errors import ConfigError, DataError, UsageError
 from catalog.files import replacing_folder
+from catalog.keywords import check_keywords
 from catalog.places import check_apart
 from catalog.rasters import PICTURES, open_raster, reading_raster
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.frames.archive_frame import NINE_IDENTITY, FrameMaker, ImportTable, load_table
-from optnav_cli.frames.archive_label import ArchiveLabel, fits_picture, format_of, read_label
+from optnav_cli.frames.archive_label import ArchiveLabel, format_of, read_label
 from optnav_cli.frames.archive_target import body_of_target
+from optnav_cli.frames.fits_picture import find_unit, fits_shape, is_fits, read_fits
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.full_scale import find_full_scale
 from optnav_cli.frames.isis_camera import CubeCamera, crop_camera, read_cube_camera
 from optnav_cli.frames.isis_cube import CubePose, Label, read_cube_label, read_cube_pose
 from optnav_cli.frames.label_geometry import VectorKeys, unstated_keys
+from optnav_cli.frames.label_pixels import (
+    KEYWORDS,
+    stated_directions,
+    stated_keywords,
+    stated_specials,
+)
 from optnav_cli.frames.pds3_picture import read_pds3_pixels
+from optnav_cli.frames.raster_pixels import FULL_SCALE, read_raster
 from optnav_cli.frames.run_settings import RunSettings
+from optnav_cli.frames.stored_pixels import StoredPixels
 from optnav_cli.frames.tables import TIMES
 from optnav_cli.output.manifest import hash_files, write_manifest
 
@@ -154,6 +165,7 @@ class _Importer:
         self._frames: dict[str, Frame] = {}
         self._skipped: list[str] = []
         self._notes: dict[str, None] = {}  # in order, each once
+        self._pixel_notes: list[str] = []
 
     def add(self, path: Path, own_picture: Path | None) -> None:
         """Add the picture or pictures of a file; what cannot be used is noted."""
@@ -170,6 +182,9 @@ class _Importer:
 
     def _add(self, source: _Source, own_picture: Path | None) -> None:
         where, table = self._table(source)
+        if source.label is not None and source.kind == "fits" and table.extension != "":
+            label = read_label(source.path, "fits", str(table.extension))
+            source = replace(source, label=label)
         motion = self._motion_of(source, where, table)
         named = self._options.camera
         pose, shot = _read_cube(source, table)
@@ -198,7 +213,9 @@ class _Importer:
         else:
             _check_row_time(source)
             frame = maker.of_time(source.path, file, source.utc)
-        without = _put_picture(source, picture, camera, self._place / file, upside_down)
+        flips, said = _flips(source, table, upside_down)
+        said += _put_picture(source, table, picture, camera, self._place / file, flips)
+        self._pixel_notes += said
         self._cameras[camera.name] = camera
         self._frames[file] = frame
         self._note(table, frame, camera, source.label)
@@ -207,8 +224,6 @@ class _Importer:
             self._notes |= dict.fromkeys(shot.notes)
         elif pose is not None and table.camera_from_frame == NINE_IDENTITY:
             self._notes[NO_TRANSX] = None
-        if without:
-            self._notes[f"{file}: {without} pixels have no value and are 0"] = None
 
     def _note(
         self, table: ImportTable, frame: Frame, camera: Camera, label: ArchiveLabel | None
@@ -293,6 +308,7 @@ class _Importer:
         settings = RunSettings(body=self._body[0], attitude="camera_from_body")
         write_folder(self._place, settings, cameras, frames)
         remarks = [f"left out: {reason}" for reason in self._skipped]
+        remarks += self._pixel_notes
         remarks += [f"not known: {note}" for note in self._notes]
         count = "1 picture" if len(frames) == 1 else f"{len(frames)} pictures"
         return Imported(frames, [f"{output}: {count} of {self._body[1].body.name}", *remarks])
@@ -385,67 +401,125 @@ def _picture_path(source: _Source, table: ImportTable) -> Path:
 
 
 def _put_picture(
-    source: _Source, picture: Path, camera: Camera, place: Path, upside_down: bool
-) -> int:
-    """Put a picture into the folder, as it is or as a TIFF; how many pixels have no value."""
-    if picture.suffix.lower() in COPIED and not upside_down:
-        _check_size(picture, camera, *_raster(picture, shape_only=True).shape)
+    source: _Source,
+    table: ImportTable,
+    picture: Path,
+    camera: Camera,
+    place: Path,
+    flips: tuple[bool, bool],
+) -> list[str]:
+    """Put a picture into the folder, as it is or as a TIFF; return remarks.
+
+    A TIFF keeps which pixels have no value as its mask, and the full scale as a tag.
+    flips  whether rows and columns change their order
+    """
+    if picture.suffix.lower() in COPIED and not any(flips):
+        _check_size(picture, _shape(picture), camera)
         shutil.copyfile(picture, place)
-        return 0
-    label = source.label
-    if label is not None and source.kind == "fits" and picture == label.path:
-        values: NDArray[np.generic] = fits_picture(label)
-    else:
-        values = _archive_raster(source, picture)
-    values = values[::-1] if upside_down else values
-    _check_size(picture, camera, *values.shape)
-    with np.errstate(invalid="ignore"):  # of what is no number
-        numbers = values.astype(np.float64)
-    bad = ~np.isfinite(numbers) | (numbers < NO_VALUE)
-    kind = values.dtype.name if values.dtype.name in ("uint8", "uint16") else "uint16"
-    if kind != values.dtype.name and not bad.all():
-        low = min(float(numbers[~bad].min()), 0.0)
-        high = float(numbers[~bad].max())
-        if high > low:
-            numbers = (numbers - low) * (HIGHEST / (high - low))
+        return []
+    named = stated_keywords(source.text, coded=camera.coding is not None)
+    remarks = check_keywords(source.path, named, KEYWORDS)
+    pixels = _stored(source, table, picture, camera)
+    numbers = pixels.values.astype(np.float64)
+    bad = np.zeros(numbers.shape, np.bool_) if pixels.missing is None else pixels.missing
+    bad = bad | ~np.isfinite(numbers) | (numbers < NO_VALUE)
+    full = camera.saturation_counts or pixels.full
+    if full is None and not bad.all():
+        full = find_full_scale(numbers[~bad])
+    kind = pixels.values.dtype.name
+    if kind not in ("uint8", "uint16"):
+        if camera.coding is not None:
+            raise DataError(
+                f"{picture}: its pixels are {kind}, which import stretches over 16 bits, so the "
+                f"[coding] of camera '{camera.name}' cannot be applied; wanted 8 or 16 bits "
+                "without sign"
+            )
+        kind = "uint16"
+        numbers, full = _rescaled(numbers, bad, full)
     numbers[bad] = 0.0
-    numbers = np.rint(numbers)
+    for flip, axis in zip(flips, (0, 1), strict=True):
+        if flip:
+            numbers, bad = np.flip(numbers, axis), np.flip(bad, axis)
+    tags = {} if full is None else {FULL_SCALE: f"{full!r}"}
     profile = {"driver": "GTiff", "width": camera.width_px, "height": camera.height_px}
     with (
         _quiet(),
+        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
         rasterio.open(place, "w", count=1, dtype=kind, compress="deflate", **profile) as to,
     ):
-        to.write(numbers.astype(kind), 1)
-    return int(bad.sum())
+        to.write(np.rint(numbers).astype(kind), 1)
+        if bad.any():
+            to.write_mask(~bad)
+        to.update_tags(**tags)
+    if bad.any():
+        remarks.append(f"{place.name}: {int(bad.sum())} pixels have no value")
+    return remarks
 
 
-def _archive_raster(source: _Source, picture: Path) -> NDArray[np.generic]:
-    """The picture of a label or a file, by GDAL; of a PDS3 label that GDAL cannot read, by ours."""
+def _rescaled(
+    numbers: FloatArray, bad: BoolArray, full: float | None
+) -> tuple[FloatArray, float | None]:
+    """Numbers brought to counts of 16 bits, and full scale with them."""
+    if bad.all():
+        return numbers, full
+    low, high = min(float(numbers[~bad].min()), 0.0), float(numbers[~bad].max())
+    if not high > low:
+        return numbers, full
+    factor = HIGHEST / (high - low)
+    return (numbers - low) * factor, None if full is None else (full - low) * factor
+
+
+def _flips(
+    source: _Source, table: ImportTable, upside_down: bool
+) -> tuple[tuple[bool, bool], list[str]]:
+    """Whether rows and columns change their order, and the remark where only the label says so.
+
+    upside_down  whether a cube's own camera has its lines from below
+    """
+    if upside_down:
+        return (True, False), []
+    stated = stated_directions(source.text)
+    if table.line_order == "label":
+        return stated, []
+    if table.line_order is None and any(stated):
+        note = "its label says that its first line or sample is shown at the far end; pixels are "
+        note += 'kept as stored (line_order = "label" or "top_first" in the table decides)'
+        return (False, False), [f"{source.path.name}: {note}"]
+    return (table.line_order == "bottom_first", False), []
+
+
+def _stored(source: _Source, table: ImportTable, picture: Path, camera: Camera) -> StoredPixels:
+    """The pixels of a source's picture. Raises DataError."""
+    if is_fits(picture):
+        unit = find_unit(picture, str(table.extension))
+        if unit.is_picture:
+            _check_size(picture, fits_shape(unit), camera)
+        return read_fits(picture, unit)
     try:
-        return _raster(picture)
+        with open_raster(picture, PICTURES) as dataset, reading_raster(picture, siblings=False):
+            _check_size(picture, dataset.shape, camera)
+            return read_raster(picture, dataset, camera.channel, stated_specials(source.text))
     except DataError:
         if source.label is None or source.kind != "pds3" or picture != source.path:
             raise
-    return read_pds3_pixels(source.label)
+    # a PDS3 label that GDAL cannot read
+    values = read_pds3_pixels(source.label)
+    _check_size(picture, (values.shape[0], values.shape[1]), camera)
+    missing = np.isnan(values) if values.dtype.kind == "f" else None
+    return StoredPixels(values, values.dtype.name, missing)
 
 
-def _raster(path: Path, *, shape_only: bool = False) -> NDArray[np.generic]:
-    """The first band of a raster; of zeros where only its shape is wanted. Raises DataError."""
+def _shape(path: Path) -> tuple[int, int]:
     with open_raster(path, PICTURES) as dataset, reading_raster(path, siblings=False):
-        if shape_only:
-            return np.broadcast_to(np.zeros(1, np.uint8), dataset.shape)
-        values: NDArray[np.generic] = dataset.read(1)
-        scale, offset = dataset.scales[0], dataset.offsets[0]
-        if (scale, offset) != (1.0, 0.0):
-            missing = values == dataset.nodata if dataset.nodata is not None else False
-            values = np.where(missing, np.nan, values * scale + offset).astype(np.float32)
-        return values
+        rows, columns = dataset.shape
+        return rows, columns
 
 
-def _check_size(picture: Path, camera: Camera, rows: int, columns: int) -> None:
-    if (rows, columns) != camera.shape:
+def _check_size(picture: Path, shape: tuple[int, int], camera: Camera) -> None:
+    """Raise DataError for a picture of another size (rows, columns) than the camera's."""
+    if shape != camera.shape:
         raise DataError(
-            f"{picture}: the picture is {columns} x {rows}; camera '{camera.name}' takes "
+            f"{picture}: the picture is {shape[1]} x {shape[0]}; camera '{camera.name}' takes "
             f"{camera.width_px} x {camera.height_px}: name another --camera"
         )
 

@@ -199,6 +199,7 @@ def _row(
             reason = 'no time: the stars are those of J2025, aberration (20") is in the sigmas'
     except NoSolutionError as error:
         reason = str(error)
+    reason = "; ".join(filter(None, [reason, *picture.remarks]))
     found = StarRow(file, utc, spots, fix, view, reason)
     drawn = draw_stars(picture.values, spots, fix, found.words(), stars)
     overlay_path(overlays, file).write_bytes(encoded(drawn, ".png"))

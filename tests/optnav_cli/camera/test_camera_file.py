@@ -7,6 +7,7 @@ import pytest
 
 from catalog.errors import ConfigError
 from optnav_cli.camera.camera_file import camera_toml, load_camera, preset_camera
+from optnav_cli.camera.coding import Coding
 
 PRESETS = Path(__file__).parents[3] / "configs/cameras"
 GOOD = """
@@ -52,6 +53,15 @@ def test_a_focal_length_in_millimetres_needs_the_pitch(tmp_path: Path) -> None:
         ("focal_length_px = 500.0", "focal_length_px = 9e8", "longer side, 640 px"),
         ("focal_length_px", "focal_lenght_px", "focal_length_px"),
         ("width_px = 640", "width_px = 640\nsaturation_counts = 0", "saturation_counts = 0"),
+        ("width_px = 640", 'width_px = 640\nchannel = "grey"', "channel"),
+        ("239.5]", '239.5]\n[coding]\ncurve = "gamma"', r"\[coding\]: gamma belongs to"),
+        ("239.5]", '239.5]\n[coding]\ncurve = "square"\ngamma = 2.0', "gamma belongs to"),
+        ("239.5]", '239.5]\n[coding]\ncurve = "table"\ncounts = [1, 2]', "2 counts and 0 linear"),
+        (
+            "239.5]",
+            '239.5]\n[coding]\ncurve = "table"\ncounts = [1, 1]\nlinear = [1, 2]',
+            "must rise",
+        ),
         (
             "width_px = 640",
             "width_px = 640\nvalid_area_px = [9, 9, 640, 99]",
@@ -191,9 +201,16 @@ def test_an_unknown_preset_is_answered_with_the_nearest() -> None:
         preset_camera("shnkk")
 
 
-def test_full_scale_and_usable_area_are_read_and_written(tmp_path: Path) -> None:
+def test_how_pictures_are_to_be_read_is_read_and_written(tmp_path: Path) -> None:
     text = GOOD + "saturation_counts = 4095\nvalid_area_px = [8, 0, 631, 470]\n"
+    text += 'valid_mask = "mask.png"\nchannel = "green"\nexif_orientation = "ignore"\n'
+    text += 'line_order = "bottom_first"\nextension = 1\n[coding]\ncurve = "table"\n'
+    text += "counts = [0, 255]\nlinear = [0, 4095.5]\n"
     camera = load_camera(written(tmp_path, text))
     assert camera.saturation_counts == 4095.0
     assert camera.valid_area_px == (8, 0, 631, 470)
+    assert camera.valid_mask == str(tmp_path / "mask.png")
+    assert (camera.channel, camera.exif_orientation) == ("green", "ignore")
+    assert (camera.line_order, camera.extension) == ("bottom_first", "1")
+    assert camera.coding == Coding("table", None, (0.0, 255.0), (0.0, 4095.5))
     assert load_camera(written(tmp_path, camera_toml(camera))) == camera

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from catalog.errors import DataError
-from optnav_cli.frames.archive_label import fits_picture, format_of, read_label
+from optnav_cli.frames.archive_label import format_of, read_label
+from optnav_cli.frames.fits_picture import find_unit, read_fits
 
 PDS3 = """PDS_VERSION_ID = PDS3 /* a comment = "no value" */
 ^IMAGE = ("A.IMG", 3)
@@ -78,6 +79,10 @@ def test_a_pds4_label_is_read_by_the_ends_of_its_paths(tmp_path: Path) -> None:
         read_label(path, "pds4")
 
 
+def picture(path: Path) -> np.ndarray:
+    return read_fits(path, find_unit(path)).values
+
+
 @pytest.mark.parametrize(
     ("bitpix", "dtype"), [(8, "u1"), (16, ">i2"), (32, ">i4"), (-32, ">f4"), (-64, ">f8")]
 )
@@ -88,16 +93,14 @@ def test_fits_pictures_of_every_type_are_read(tmp_path: Path, bitpix: int, dtype
     assert format_of(path) == "fits"
     label = read_label(path, "fits")
     assert label.text("NEAR-005") == "MSI's"
-    np.testing.assert_array_equal(fits_picture(label), np.arange(12).reshape(3, 4))
+    np.testing.assert_array_equal(picture(path), np.arange(12).reshape(3, 4))
 
 
 def test_fits_values_are_scaled_as_the_header_says(tmp_path: Path) -> None:
     values = np.array([[-32768, 0], [1, 32767]], ">i2")
     path = tmp_path / "a.fit"
     path.write_bytes(fits(16, values, ("BZERO   = 32768", "BSCALE  = 1")))
-    np.testing.assert_array_equal(
-        fits_picture(read_label(path, "fits")), [[0, 32768], [32769, 65535]]
-    )
+    np.testing.assert_array_equal(picture(path), [[0, 32768], [32769, 65535]])
 
 
 def test_damaged_fits_files_are_refused(tmp_path: Path) -> None:
@@ -107,11 +110,11 @@ def test_damaged_fits_files_are_refused(tmp_path: Path) -> None:
         (whole[:-8], "cut short"),
         (whole[:2000].replace(b"END", b"   "), "no end"),
         (whole.replace(b"NAXIS   = 2", b"NAXIS   = 3"), "two axes"),
-        (whole.replace(b"BITPIX  = -32", b"BITPIX  = 100"), "two axes"),
+        (whole.replace(b"BITPIX  = -32", b"BITPIX  = 100"), "states BITPIX = 100; wanted"),
     ):
         path.write_bytes(raw)
         with pytest.raises(DataError, match=message):
-            fits_picture(read_label(path, "fits"))
+            picture(path)
 
 
 def test_settings_are_read_by_section_with_lists(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import rasterio
 
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.coding import Coding
 from optnav_cli.frames.full_scale import find_full_scale
 from optnav_cli.frames.picture import Picture, load_picture
 from optnav_cli.measurements.segmentation import measure_levels
@@ -110,16 +111,176 @@ def test_a_palette_of_grays_is_gray(suffix: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_picture(path, CAMERA).values, 255 - index)
 
 
-def test_colours_are_refused(tmp_path: Path) -> None:
-    gray = content()
-    tinted = gray.copy()
-    tinted[7, 9] -= 1
-    refused(
-        coloured(tmp_path / "tinted.png", np.stack([gray, tinted, gray]), None),
-        rf"in colour: at pixel \(9, 7\) one band is {gray[7, 9]} and another {tinted[7, 9]}",
-    )
+def test_colour_pictures_give_their_luminance_or_a_channel(tmp_path: Path) -> None:
+    red, green, blue = (content() // part for part in (1, 2, 3))
+    path = coloured(tmp_path / "a.png", np.stack([red, green, blue]), None)
+    picture = load_picture(path, CAMERA)
+    luminance = cv2.cvtColor(np.dstack([red, green, blue]).astype(np.float32), cv2.COLOR_RGB2GRAY)
+    np.testing.assert_allclose(picture.values, luminance, atol=0.1)
+    (remark,) = picture.remarks
+    assert "a.png is in colour: its luminance is used" in remark
+    for channel, values in (("red", red), ("green", green), ("blue", blue)):
+        picture = load_picture(path, replace(CAMERA, channel=channel))
+        np.testing.assert_array_equal(picture.values, values)
+        assert picture.remarks == ()
+    stated = load_picture(path, replace(CAMERA, channel="luminance"))
+    np.testing.assert_allclose(stated.values, luminance, atol=0.1)
+    assert stated.remarks == ()
     reds = {n: (n, 0, 0, 255) for n in range(256)}
-    refused(coloured(tmp_path / "reds.png", gray[None], reds), "in colour")
+    palette = load_picture(coloured(tmp_path / "b.png", red[None], reds), CAMERA)
+    np.testing.assert_allclose(palette.values, 0.299 * red, atol=0.01)
+
+
+def test_bands_of_no_known_colour_are_refused(tmp_path: Path) -> None:
+    bands = np.stack([content(), content() // 2, content() // 3, content() // 4, content()])
+    refused(coloured(tmp_path / "a.tif", bands[:2], None), "2 bands .* of different content")
+    refused(coloured(tmp_path / "b.tif", bands, None), "5 bands .* of different content")
+
+
+def test_clear_palette_entries_have_no_value(tmp_path: Path) -> None:
+    index = content(high=200)
+    palette = {n: (n, n, n, 0 if n < 20 else 255) for n in range(256)}
+    picture = load_picture(coloured(tmp_path / "a.png", index[None], palette), CAMERA)
+    without(picture, index < 20, index)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_white_is_zero_is_heeded(bits: int, tmp_path: Path) -> None:
+    dtype = np.uint8 if bits == 8 else np.uint16
+    values = content(dtype, 2**bits - 5)
+    profile = {"driver": "GTiff", "width": 200, "height": 160, "count": 1, "dtype": dtype}
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+        file = rasterio.open(tmp_path / "a.tif", "w", photometric="miniswhite", **profile)
+    with file:
+        file.write(2**bits - 1 - values, 1)
+    np.testing.assert_array_equal(load_picture(tmp_path / "a.tif", CAMERA).values, values)
+
+
+def exif(order: str, orientation: int) -> bytes:
+    """A TIFF without pixels, as EXIF segments have it: one directory with the orientation."""
+    head = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
+    entry = struct.pack(order + "HHIHH", 274, 3, 1, orientation, 0)
+    return head + struct.pack(order + "H", 1) + entry + bytes(4)
+
+
+def oriented(path: Path, values: np.ndarray, orientation: int) -> Path:
+    """A JPEG, PNG or TIFF with an orientation, by its own bytes."""
+    saved(path, values)
+    raw = path.read_bytes()
+    if path.suffix == ".jpg":
+        segment = b"Exif\0\0" + exif(">", orientation)
+        marker = b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment
+        path.write_bytes(raw[:2] + marker + raw[2:])
+    elif path.suffix == ".png":
+        data = exif("<", orientation)
+        chunk = struct.pack(">I", len(data)) + b"eXIf" + data
+        chunk += struct.pack(">I", zlib.crc32(b"eXIf" + data))
+        path.write_bytes(raw[:33] + chunk + raw[33:])
+    else:
+        profile = {"driver": "GTiff", "width": values.shape[1], "height": values.shape[0]}
+        with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+            file = rasterio.open(path, "w", count=1, dtype=values.dtype, **profile)
+        with file:
+            file.write(values, 1)
+        raw = path.read_bytes()
+        start = struct.unpack("<I", raw[4:8])[0]
+        count = struct.unpack("<H", raw[start : start + 2])[0]
+        entries = raw[start + 2 : start + 2 + 12 * count]
+        # the directory again at the end, with one entry more, in the order of the tags
+        parts = [entries[at : at + 12] for at in range(0, len(entries), 12)]
+        parts.append(struct.pack("<HHIHH", 274, 3, 1, orientation, 0))
+        parts.sort(key=lambda part: struct.unpack("<H", part[:2])[0])
+        directory = struct.pack("<H", count + 1) + b"".join(parts) + bytes(4)
+        path.write_bytes(raw[:4] + struct.pack("<I", len(raw)) + raw[8:] + directory)
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
+def test_a_turned_picture_is_refused_until_the_camera_file_says_how(
+    suffix: str, tmp_path: Path
+) -> None:
+    """OpenCV turns pictures as viewers do: it gives what "apply" has to give."""
+    x, y = np.meshgrid(np.arange(200), np.arange(160))
+    values = (x // 2 + y // 2 + 20).astype(np.uint8)
+    for orientation in range(2, 9):
+        path = oriented(tmp_path / f"{orientation}.{suffix}", values, orientation)
+        refused(path, f"states Orientation = {orientation}; .*exif_orientation")
+        stored = load_picture(path, replace(CAMERA, exif_orientation="ignore")).values
+        assert np.abs(stored - values).max() < 4.0
+        shown = shown_by_rule(values, orientation)
+        if suffix != "tif":  # which OpenCV reads of some orientations alone
+            by_opencv = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+            assert by_opencv is not None
+            assert np.abs(by_opencv.astype(int) - shown).max() < 4
+        sides = {"width_px": shown.shape[1], "height_px": shown.shape[0]}
+        camera = replace(CAMERA, exif_orientation="apply", **sides)
+        picture = load_picture(path, camera)
+        assert np.abs(picture.values - shown).max() < 4.0
+    plain = oriented(tmp_path / f"1.{suffix}", values, 1)
+    assert load_picture(plain, CAMERA).values.shape == CAMERA.shape
+
+
+def shown_by_rule(values: np.ndarray, orientation: int) -> np.ndarray:
+    """EXIF's own words: where row 0 and column 0 of the stored picture are when it is shown."""
+    row, column = {
+        2: ("top", "right"),
+        3: ("bottom", "right"),
+        4: ("bottom", "left"),
+        5: ("left", "top"),
+        6: ("right", "top"),
+        7: ("right", "bottom"),
+        8: ("left", "bottom"),
+    }[orientation]
+    turned = values if row in ("top", "bottom") else values.T
+    if "bottom" in (row, column):
+        turned = turned[::-1]
+    return turned[:, ::-1] if "right" in (row, column) else turned
+
+
+def test_a_gamma_chunk_is_reported_once_no_coding_is_stated(tmp_path: Path) -> None:
+    raw = saved(tmp_path / "a.png", content()).read_bytes()
+    data = struct.pack(">I", 45455)
+    chunk = struct.pack(">I", 4) + b"gAMA" + data + struct.pack(">I", zlib.crc32(b"gAMA" + data))
+    (tmp_path / "a.png").write_bytes(raw[:33] + chunk + raw[33:])
+    (remark,) = load_picture(tmp_path / "a.png", CAMERA).remarks
+    assert "gAMA = 45455" in remark
+    camera = replace(CAMERA, coding=Coding("gamma", 2.2))
+    assert load_picture(tmp_path / "a.png", camera).remarks == ()
+
+
+@pytest.mark.parametrize(
+    ("coding", "linear"),
+    [
+        (Coding("square"), lambda counts: counts**2 / 255.0),
+        (Coding("gamma", 2.2), lambda counts: 255.0 * (counts / 255.0) ** 2.2),
+        (
+            Coding("table", None, (0.0, 100.0, 255.0), (0.0, 200.0, 4095.0)),
+            lambda counts: np.interp(counts, [0, 100, 255], [0, 200, 4095]),
+        ),
+    ],
+)
+def test_coded_counts_become_linear_in_light(
+    coding: Coding, linear: Callable[[np.ndarray], np.ndarray], tmp_path: Path
+) -> None:
+    values = content()
+    path = saved(tmp_path / "a.png", values)
+    picture = load_picture(path, replace(CAMERA, coding=coding))
+    np.testing.assert_allclose(picture.values, linear(values.astype(float)), rtol=1e-6)
+    assert picture.saturation == pytest.approx(float(linear(np.array([255.0]))[0]))
+
+
+def test_a_mask_picture_and_the_order_of_lines_are_the_camera_s(tmp_path: Path) -> None:
+    values = content()
+    path = saved(tmp_path / "a.png", values)
+    mask = saved(tmp_path / "mask.png", np.where(gap(), 0, 255).astype(np.uint8))
+    without(load_picture(path, replace(CAMERA, valid_mask=str(mask))), gap(), values)
+    upside_down = load_picture(path, replace(CAMERA, line_order="bottom_first"))
+    np.testing.assert_array_equal(upside_down.values, values[::-1])
+    small = saved(tmp_path / "small.png", np.ones((5, 5), np.uint8))
+    with pytest.raises(DataError, match=r"small\.png: the mask is 5 x 5; wanted the size"):
+        load_picture(path, replace(CAMERA, valid_mask=str(small)))
+    with pytest.raises(DataError, match="correct valid_mask"):
+        load_picture(path, replace(CAMERA, valid_mask=str(tmp_path / "none.png")))
 
 
 def without(picture: Picture, gap: np.ndarray, values: np.ndarray) -> None:
@@ -254,11 +415,6 @@ def test_a_picture_of_another_size_names_both_sizes(tmp_path: Path) -> None:
     refused(path, "100 x 160; camera 'test' takes 200 x 160")
     # the transposed picture has the right number of pixels
     refused(saved(tmp_path / "b.png", content().T.copy()), "160 x 200")
-
-
-def test_colour_is_refused(tmp_path: Path) -> None:
-    grey = content()
-    refused(saved(tmp_path / "a.png", np.dstack([grey, grey // 2, grey])), "colour")
 
 
 @pytest.mark.parametrize(

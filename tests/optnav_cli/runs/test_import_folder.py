@@ -20,7 +20,8 @@ from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.frames.archive_frame import load_table
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.label_pixels import CODING_KEYWORDS, KEYWORDS
+from optnav_cli.frames.picture import Picture, load_picture
 from optnav_cli.main import run
 from optnav_cli.runs.import_folder import ImportOptions, import_folder
 
@@ -471,7 +472,7 @@ def test_a_label_that_gdal_does_not_open_is_read_by_its_image_object(tmp_path: P
     values = load_picture(tmp_path / "out/a.tif", load_camera(tmp_path / "made.toml")).values
     line = np.polyfit(np.r_[14:34], values.ravel()[4:], 1)  # real numbers become 16 bits linearly
     np.testing.assert_allclose(values.ravel()[4:], np.polyval(line, np.r_[14:34]), atol=0.6)
-    assert values.ravel()[3] == 0.0
+    assert np.isnan(values.ravel()[3])
     (tmp_path / "a.img").write_bytes(rows.tobytes()[:-5])
     with pytest.raises(DataError, match=r"a\.img: is cut short"):
         import_folder([path], tmp_path / "short", options_of(path))
@@ -485,3 +486,94 @@ def test_a_row_of_a_list_of_times_is_named_by_its_line(kernels: list[Path], tmp_
     options = ImportOptions(table=str(tmp_path / "t.toml"), kernels=tuple(kernels))
     with pytest.raises(DataError, match=r"times\.csv, line 2: utc: time '2004-05-01' is not"):
         import_folder([tmp_path / "times.csv"], tmp_path / "out", options)
+
+
+def imported_picture(folder: Path, camera: str = "made.toml") -> Picture:
+    return load_picture(folder / "out/a.tif", load_camera(folder / camera))
+
+
+def with_pixels(folder: Path, values: np.ndarray, **changes: str) -> Path:
+    """The label of `made_pds3` over 16-bit pixels (4, 6)."""
+    path = made_pds3(folder, **changes)
+    text = path.read_text().replace("SAMPLE_BITS = 8", "SAMPLE_BITS = 16")
+    kind = "MSB_UNSIGNED_INTEGER" if values.dtype.kind == "u" else "MSB_INTEGER"
+    text = text.replace("MSB_UNSIGNED_INTEGER", kind)
+    path.write_text(text.replace("RECORD_BYTES = 6", "RECORD_BYTES = 12"))
+    (folder / "a.img").write_bytes(values.astype(values.dtype.newbyteorder(">")).tobytes())
+    return path
+
+
+def test_special_values_of_a_label_become_a_mask_and_the_full_scale(tmp_path: Path) -> None:
+    values = np.arange(100, 124, dtype=np.uint16).reshape(4, 6)
+    values[0, :2], values[3, 4:] = 7, 4095
+    path = with_pixels(tmp_path, values, MISSING_CONSTANT="7", SATURATED_CONSTANT="4095")
+    imported = import_folder([path], tmp_path / "out", options_of(path))
+    picture = imported_picture(tmp_path)
+    np.testing.assert_array_equal(picture.valid, values != 7)
+    np.testing.assert_array_equal(picture.values >= (picture.saturation or 0.0), values >= 121)
+    assert "a.tif: 2 pixels have no value" in imported.remarks
+
+
+def test_full_scale_follows_the_counts_into_16_bits(tmp_path: Path) -> None:
+    """Signed counts of 12 bits, clipped at 2047, are stretched over 16 bits."""
+    values = np.random.default_rng(3).integers(-20, 1500, (40, 60)).astype(np.int16)
+    values[:, 40:] = 2047
+    text = CAMERA.replace("width_px = 6", "width_px = 60").replace(
+        "height_px = 4", "height_px = 40"
+    )
+    path = with_pixels(tmp_path, values)
+    label = (
+        path.read_text().replace("LINES = 4", "LINES = 40").replace("SAMPLES = 6", "SAMPLES = 60")
+    )
+    path.write_text(label.replace("RECORD_BYTES = 12", "RECORD_BYTES = 120"))
+    (tmp_path / "made.toml").write_text(text)
+    import_folder([path], tmp_path / "out", options_of(path))
+    picture = imported_picture(tmp_path)
+    np.testing.assert_array_equal(picture.values >= (picture.saturation or 0.0), values == 2047)
+    assert picture.saturation == pytest.approx(60_000.0)
+    # stated in the camera file it is that of the counts before
+    (tmp_path / "made.toml").write_text(text + "saturation_counts = 1000\n")
+    import_folder([path], tmp_path / "again", options_of(path))
+    stated = load_picture(tmp_path / "again/a.tif", load_camera(tmp_path / "made.toml"))
+    full = values >= 1000
+    np.testing.assert_array_equal(stated.values >= (stated.saturation or 0.0) - 0.5, full)
+    (tmp_path / "made.toml").write_text(text + '[coding]\ncurve = "square"\n')
+    with pytest.raises(DataError, match=r"pixels are int16, .*\[coding\] of camera 'made'"):
+        import_folder([path], tmp_path / "coded", options_of(path))
+
+
+@pytest.mark.parametrize("keyword", [n for n, e in KEYWORDS.items() if e.fate == "refused"])
+def test_coded_pixels_of_a_label_are_refused_until_the_camera_says_how(
+    keyword: str, tmp_path: Path
+) -> None:
+    path = made_pds3(tmp_path, **{keyword.upper(): "TABLE"})
+    if keyword != keyword.upper():
+        return  # a keyword of cubes
+    with pytest.raises(DataError, match=rf"states {keyword} = TABLE; "):
+        import_folder([path], tmp_path / "out", options_of(path))
+    if keyword in CODING_KEYWORDS:
+        camera = CAMERA + '[coding]\ncurve = "square"\n'
+        (tmp_path / "made.toml").write_text(camera)
+        import_folder([path], tmp_path / "out", options_of(path))
+        coded = np.arange(10.0, 34.0).reshape(4, 6)
+        expected = load_picture(tmp_path / "out/a.tif", load_camera(tmp_path / "made.toml")).values
+        np.testing.assert_allclose(expected / expected[0, 0], coded**2 / 100.0, rtol=1e-6)
+
+
+def test_lines_from_below_are_turned_where_the_table_says_so(tmp_path: Path) -> None:
+    """The label's own direction is heeded by line_order = "label"; else it makes a remark."""
+    path = made_pds3(tmp_path, LINE_DISPLAY_DIRECTION="UP")
+    stored = np.arange(10, 34).reshape(4, 6)
+    table = resource("configs/imports/pds3.toml").read_text()
+    for number, (order, flipped) in enumerate(
+        [("", False), ("top_first", False), ("bottom_first", True), ("label", True)]
+    ):
+        line = f'line_order = "{order}"\n[time]' if order else "[time]"
+        (tmp_path / "t.toml").write_text(table.replace("[time]", line, 1))
+        options = replace(options_of(path), table=str(tmp_path / "t.toml"))
+        out = tmp_path / f"out{number}"
+        imported = import_folder([path], out, options)
+        values = load_picture(out / "a.tif", load_camera(tmp_path / "made.toml")).values
+        np.testing.assert_array_equal(values, stored[::-1] if flipped else stored)
+        said = any("shown at the far end" in remark for remark in imported.remarks)
+        assert said == (order == "")

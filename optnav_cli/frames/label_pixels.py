@@ -1,0 +1,81 @@
+"""What PDS3, PDS4 and ISIS labels say about their pixels: special values, directions, coding.
+
+Sources: PDS3 Data Dictionary (image objects); PDS4 Information Model, Special_Constants and
+Display_Settings.
+"""
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+from catalog.keywords import Keyword
+from catalog.special_values import MISSING_KEYWORDS, SATURATED_KEYWORDS, SpecialValues
+
+_CODED = (
+    "the counts are coded by the camera's own table: state it in the [coding] of the camera file"
+)
+KEYWORDS = {
+    "DATA_CONVERSION_TYPE": Keyword("refused", _CODED, ("", "12BIT", "8LSB", "N/A", "UNK")),
+    "DataConversionType": Keyword("refused", _CODED, ("", "12BIT", "8LSB", "N/A", "UNK")),
+    "MESS:COMP12_8": Keyword("refused", _CODED, ("", "0", "N/A", "UNK")),
+    "COMP12_8": Keyword("refused", _CODED, ("", "0", "N/A", "UNK")),
+    "ENCODING_TYPE": Keyword(
+        "refused", "the pixels are compressed: unpack the picture", ("", "N/A", "NONE", "UNK")
+    ),
+    "LINE_DISPLAY_DIRECTION": Keyword("used", "which line is uppermost"),
+    "SAMPLE_DISPLAY_DIRECTION": Keyword("used", "on which side lines begin"),
+    "vertical_display_direction": Keyword("used", "which line is uppermost"),
+    "horizontal_display_direction": Keyword("used", "on which side lines begin"),
+    **{name: Keyword("used", "no value") for name in MISSING_KEYWORDS},
+    **{name: Keyword("used", "saturated") for name in SATURATED_KEYWORDS},
+    "UNIT": Keyword("harmless", "brightness is compared with itself alone"),
+    "SCALING_FACTOR": Keyword("used", "GDAL hands it on as a scale"),
+    "OFFSET": Keyword("used", "GDAL hands it on as an offset"),
+}
+CODING_KEYWORDS = ("DATA_CONVERSION_TYPE", "DataConversionType", "MESS:COMP12_8", "COMP12_8")
+# Lines that begin below, and samples that begin at the right, by both standards.
+_BOTTOM_FIRST, _RIGHT_FIRST = ("UP", "BOTTOM TO TOP"), ("LEFT", "RIGHT TO LEFT")
+_RADIX = re.compile(r"(\d+)#([0-9A-Fa-f]+)#")
+
+
+def stated_specials(text: Callable[[str], str]) -> SpecialValues | None:
+    """Special values that a label names; None for none.
+
+    text  gives a keyword's value, empty where it is not stated
+    """
+    found: dict[bool, list[float]] = {False: [], True: []}
+    for names, saturated in ((MISSING_KEYWORDS, False), (SATURATED_KEYWORDS, True)):
+        for name in names:
+            stated = text(name) or text(f"Special_Constants/{name.lower()}")
+            found[saturated] += _numbers(stated)
+    if not (found[False] or found[True]):
+        return None
+    return SpecialValues(tuple(found[False]), tuple(found[True]))
+
+
+def stated_directions(text: Callable[[str], str]) -> tuple[bool, bool]:
+    """Whether a label's first line is the lowest, and its first sample the rightmost."""
+    down = text("LINE_DISPLAY_DIRECTION") or text("vertical_display_direction")
+    along = text("SAMPLE_DISPLAY_DIRECTION") or text("horizontal_display_direction")
+    return down.upper() in _BOTTOM_FIRST, along.upper() in _RIGHT_FIRST
+
+
+def stated_keywords(text: Callable[[str], str], *, coded: bool) -> list[tuple[str, str]]:
+    """What a label states of KEYWORDS, less its coding where the camera file says that."""
+    names = [name for name in KEYWORDS if not (coded and name in CODING_KEYWORDS)]
+    return [(name, value) for name in names if (value := text(name))]
+
+
+def _numbers(stated: str) -> list[float]:
+    """A number of a label, also as 16#FF7FFFFB#, which is a real's bits as well; else none."""
+    radix = _RADIX.fullmatch(stated.strip())
+    try:
+        if not radix:
+            return [float(stated)] if stated else []
+        whole = int(radix[2], int(radix[1]))
+    except ValueError:
+        return []
+    if whole < 2**32 and int(radix[1]) == 16 and len(radix[2]) == 8:
+        return [float(whole), float(np.array(whole, np.uint32).view(np.float32))]
+    return [float(whole)]

@@ -1,0 +1,146 @@
+"""Pixels of picture files that GDAL reads, brought to one band.
+
+GDAL reads all of them, because it fails where a file breaks off, while some other readers fill the
+rest with zeros. GDAL's mask decides which pixels have a value: alpha, mask band, no-data value.
+"""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.enums import ColorInterp, MaskFlags
+
+from catalog.arrays import BoolArray
+from catalog.errors import DataError
+from catalog.special_values import ISIS, SpecialValues
+from optnav_cli.frames.stored_pixels import StoredPixels
+
+Channel = Literal["red", "green", "blue", "luminance"]
+# Luminance of ITU-R BT.601, as OpenCV and others make a picture gray.
+LUMINANCE = (0.299, 0.587, 0.114)
+FULL_SCALE = "SATURATION_COUNTS"  # tag of the pictures that `import` writes
+_ISIS_DRIVERS = ("ISIS3", "ISIS2")
+_RGB = ColorInterp.red, ColorInterp.green, ColorInterp.blue
+
+
+def read_raster(
+    path: Path, dataset: Any, channel: Channel | None, special: SpecialValues | None = None
+) -> StoredPixels:
+    """Read an open file's picture as one band.
+
+    channel  of a colour picture; None: its luminance, with a remark
+    special  values as stored that a label beside the file names; of ISIS cubes their own
+    Raises DataError for bands that are neither gray nor red, green and blue.
+    """
+    kind = dataset.dtypes[0]
+    if dataset.colorinterp[0] == ColorInterp.palette:
+        bands, missing = _palette_bands(dataset)
+    else:
+        bands, missing = _plain_bands(path, dataset), _masked(dataset)
+    values, remarks = _one_band(path, bands, channel)
+    full = _stated_full_scale(dataset)
+    if dataset.driver in _ISIS_DRIVERS:
+        special = ISIS.get(kind)
+    if special is not None:
+        values, missing, marked = _without_special(values, missing, special)
+        full = marked if full is None else full
+    if values.dtype.kind == "f":
+        missing = missing | np.isnan(values)
+    if dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES":
+        values = np.subtract(_highest(dataset), values)
+    scale, offset = dataset.scales[0], dataset.offsets[0]
+    if (scale, offset) != (1.0, 0.0):
+        values = (values.astype(np.float64) * scale + offset).astype(np.float32)
+        full = None if full is None else full * scale + offset
+    known = missing if missing.any() else None
+    return StoredPixels(values, kind, known, full, remarks, FULL_SCALE in dataset.tags())
+
+
+def _plain_bands(path: Path, dataset: Any) -> list[NDArray[np.generic]]:
+    """Bands of gray, or of red, green and blue; those of the same content once."""
+    kinds = dataset.colorinterp
+    numbers = [
+        n for n, kind in zip(dataset.indexes, kinds, strict=True) if kind != ColorInterp.alpha
+    ]
+    bands = [dataset.read(number) for number in numbers]
+    others = [band for band in bands[1:] if not np.array_equal(band, bands[0])]
+    if not others:
+        return bands[:1]
+    if tuple(kinds[:3]) != _RGB or len(bands) != 3:
+        names = ", ".join(kind.name for kind in kinds)
+        raise DataError(
+            f"{path}: the picture has {len(bands)} bands ({names}) of different content; wanted "
+            "gray, or red, green and blue: write one band"
+        )
+    return bands
+
+
+def _palette_bands(dataset: Any) -> tuple[list[NDArray[np.generic]], BoolArray]:
+    """Red, green and blue of a picture of a palette, once where they are the same."""
+    index = dataset.read(1)
+    colours = np.zeros((256, 4), np.uint8)
+    for number, colour in dataset.colormap(1).items():
+        colours[number] = colour
+    missing: BoolArray = colours[:, 3][index] != 255
+    bands: list[NDArray[np.generic]] = [colours[:, k][index] for k in range(3)]
+    same = all(np.array_equal(band, bands[0]) for band in bands[1:])
+    return bands[:1] if same else bands, missing
+
+
+def _one_band(
+    path: Path, bands: list[NDArray[np.generic]], channel: Channel | None
+) -> tuple[NDArray[np.generic], tuple[str, ...]]:
+    """One band of a picture, and the remark to show."""
+    if len(bands) == 1:
+        return bands[0], ()
+    names = ("red", "green", "blue")
+    if channel in names:
+        return bands[names.index(channel)], ()
+    luminance = np.tensordot(np.array(LUMINANCE), np.stack(bands).astype(np.float64), axes=1)
+    remark = (
+        f"{path.name} is in colour: its luminance is used (0.299 red + 0.587 green + 0.114 blue; "
+        'channel = "red", "green", "blue" or "luminance" in the camera file states another)'
+    )
+    return np.asarray(luminance, np.float32), () if channel else (remark,)
+
+
+def _masked(dataset: Any) -> BoolArray:
+    """Mark the pixels (h, w) that GDAL's mask leaves out."""
+    if dataset.mask_flag_enums[0] == [MaskFlags.all_valid]:
+        return np.zeros((1, 1), np.bool_)
+    masked: BoolArray = dataset.read_masks(1) != 255
+    return masked
+
+
+def _stated_full_scale(dataset: Any) -> float | None:
+    """Full scale that the file states: of `import`, or by fewer bits than its type has."""
+    try:
+        return float(dataset.tags()[FULL_SCALE])
+    except (KeyError, ValueError):
+        pass
+    bits = dataset.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", "")
+    return float(2 ** int(bits) - 1) if bits in {str(n) for n in range(2, 32)} else None
+
+
+def _highest(dataset: Any) -> NDArray[np.generic]:
+    """The value that is black where white is zero, of the file's type and bits."""
+    kind = np.dtype(dataset.dtypes[0])
+    if kind.kind != "u":
+        return np.zeros(1, kind)
+    bits = dataset.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", "")
+    highest = 2 ** int(bits) - 1 if bits.isdigit() else np.iinfo(kind).max
+    return np.array([highest], kind)
+
+
+def _without_special(
+    stored: NDArray[np.generic], missing: BoolArray, special: SpecialValues
+) -> tuple[NDArray[np.generic], BoolArray, float | None]:
+    """Values with the highest valid one where they are saturated, what is missing, full scale."""
+    missing = missing | special.is_missing(stored)
+    full = special.is_saturated(stored)
+    valid = stored[~(missing | full)]
+    if not full.any() or not valid.size:
+        return stored, missing | full, None
+    highest = valid.max()
+    return np.where(full, highest, stored), missing, float(highest)
