@@ -1,4 +1,4 @@
-"""What PDS3, PDS4 and ISIS labels say about their pixels: special values, directions, coding.
+"""What PDS3, PDS4 and ISIS labels say about their pixels: special values, row order, coding.
 
 Sources: PDS3 Data Dictionary (image objects); PDS4 Information Model, Special_Constants and
 Display_Settings.
@@ -24,9 +24,7 @@ KEYWORDS = {
         "refused", "the pixels are compressed: unpack the picture", ("", "N/A", "NONE", "UNK")
     ),
     "LINE_DISPLAY_DIRECTION": Keyword("used", "which line is uppermost"),
-    "SAMPLE_DISPLAY_DIRECTION": Keyword("used", "on which side lines begin"),
     "vertical_display_direction": Keyword("used", "which line is uppermost"),
-    "horizontal_display_direction": Keyword("used", "on which side lines begin"),
     **{name: Keyword("used", "no value") for name in MISSING_KEYWORDS},
     **{name: Keyword("used", "saturated") for name in SATURATED_KEYWORDS},
     "UNIT": Keyword("harmless", "brightness is compared with itself alone"),
@@ -34,8 +32,7 @@ KEYWORDS = {
     "OFFSET": Keyword("used", "GDAL hands it on as an offset"),
 }
 CODING_KEYWORDS = ("DATA_CONVERSION_TYPE", "DataConversionType", "MESS:COMP12_8", "COMP12_8")
-# Lines that begin below, and samples that begin at the right, by both standards.
-_BOTTOM_FIRST, _RIGHT_FIRST = ("UP", "BOTTOM TO TOP"), ("LEFT", "RIGHT TO LEFT")
+_BOTTOM_FIRST = ("UP", "BOTTOM TO TOP")  # of PDS3 and PDS4
 _RADIX = re.compile(r"(\d+)#([0-9A-Fa-f]+)#")
 
 
@@ -54,11 +51,10 @@ def stated_specials(text: Callable[[str], str]) -> SpecialValues | None:
     return SpecialValues(tuple(found[False]), tuple(found[True]))
 
 
-def stated_directions(text: Callable[[str], str]) -> tuple[bool, bool]:
-    """Whether a label's first line is the lowest, and its first sample the rightmost."""
-    down = text("LINE_DISPLAY_DIRECTION") or text("vertical_display_direction")
-    along = text("SAMPLE_DISPLAY_DIRECTION") or text("horizontal_display_direction")
-    return down.upper() in _BOTTOM_FIRST, along.upper() in _RIGHT_FIRST
+def is_bottom_first(text: Callable[[str], str]) -> bool:
+    """Whether a label's first line is the lowest on a screen."""
+    stated = text("LINE_DISPLAY_DIRECTION") or text("vertical_display_direction")
+    return stated.upper() in _BOTTOM_FIRST
 
 
 def stated_keywords(text: Callable[[str], str], *, coded: bool) -> list[tuple[str, str]]:

@@ -37,7 +37,7 @@ from optnav_cli.frames.isis_cube import CubePose, Label, read_cube_label, read_c
 from optnav_cli.frames.label_geometry import VectorKeys, unstated_keys
 from optnav_cli.frames.label_pixels import (
     KEYWORDS,
-    stated_directions,
+    is_bottom_first,
     stated_keywords,
     stated_specials,
 )
@@ -201,7 +201,8 @@ class _Importer:
         if known != camera:  # another part of the same camera's picture
             camera = replace(camera, name=f"{camera.name}_{len(self._cameras)}")
         maker = FrameMaker(table, camera.name, motion, self._kernels)
-        copied = picture.suffix.lower() in COPIED and not upside_down
+        flipped, said = _is_flipped(source, table, upside_down)
+        copied = picture.suffix.lower() in COPIED and not flipped
         file = picture.name if copied else f"{picture.stem}.tif"
         if file in self._frames:
             raise DataError(f"{picture}: a picture of this name is there already; rename one")
@@ -213,8 +214,7 @@ class _Importer:
         else:
             _check_row_time(source)
             frame = maker.of_time(source.path, file, source.utc)
-        flips, said = _flips(source, table, upside_down)
-        said += _put_picture(source, table, picture, camera, self._place / file, flips)
+        said += _put_picture(source, table, picture, camera, self._place / file, flipped)
         self._pixel_notes += said
         self._cameras[camera.name] = camera
         self._frames[file] = frame
@@ -385,10 +385,14 @@ def _camera(names: str | tuple[str, ...], beside: Path, source: _Source, picture
 
 def _picture_shape(source: _Source, picture: Path) -> tuple[int, int]:
     """Rows and columns of a picture. Raises DataError."""
-    label = source.label
-    if label is not None and source.kind == "fits" and picture == label.path:
-        return fits_picture(label).shape[:2]
-    rows, columns = _archive_raster(source, picture).shape
+    if is_fits(picture):
+        return fits_shape(find_unit(picture))
+    try:
+        return _shape(picture)
+    except DataError:
+        if source.label is None or source.kind != "pds3" or picture != source.path:
+            raise
+    rows, columns = read_pds3_pixels(source.label).shape
     return rows, columns
 
 
@@ -406,14 +410,14 @@ def _put_picture(
     picture: Path,
     camera: Camera,
     place: Path,
-    flips: tuple[bool, bool],
+    flipped: bool,
 ) -> list[str]:
     """Put a picture into the folder, as it is or as a TIFF; return remarks.
 
     A TIFF keeps which pixels have no value as its mask, and the full scale as a tag.
-    flips  whether rows and columns change their order
+    flipped  whether the rows change their order
     """
-    if picture.suffix.lower() in COPIED and not any(flips):
+    if picture.suffix.lower() in COPIED and not flipped:
         _check_size(picture, _shape(picture), camera)
         shutil.copyfile(picture, place)
         return []
@@ -437,9 +441,8 @@ def _put_picture(
         kind = "uint16"
         numbers, full = _rescaled(numbers, bad, full)
     numbers[bad] = 0.0
-    for flip, axis in zip(flips, (0, 1), strict=True):
-        if flip:
-            numbers, bad = np.flip(numbers, axis), np.flip(bad, axis)
+    if flipped:
+        numbers, bad = numbers[::-1], bad[::-1]
     tags = {} if full is None else {FULL_SCALE: f"{full!r}"}
     profile = {"driver": "GTiff", "width": camera.width_px, "height": camera.height_px}
     with (
@@ -469,23 +472,21 @@ def _rescaled(
     return (numbers - low) * factor, None if full is None else (full - low) * factor
 
 
-def _flips(
-    source: _Source, table: ImportTable, upside_down: bool
-) -> tuple[tuple[bool, bool], list[str]]:
-    """Whether rows and columns change their order, and the remark where only the label says so.
+def _is_flipped(source: _Source, table: ImportTable, upside_down: bool) -> tuple[bool, list[str]]:
+    """Whether the rows change their order, and the remark where only the label says so.
 
     upside_down  whether a cube's own camera has its lines from below
     """
     if upside_down:
-        return (True, False), []
-    stated = stated_directions(source.text)
+        return True, []
+    stated = is_bottom_first(source.text)
     if table.line_order == "label":
         return stated, []
-    if table.line_order is None and any(stated):
-        note = "its label says that its first line or sample is shown at the far end; pixels are "
-        note += 'kept as stored (line_order = "label" or "top_first" in the table decides)'
-        return (False, False), [f"{source.path.name}: {note}"]
-    return (table.line_order == "bottom_first", False), []
+    if table.line_order is None and stated:
+        note = "its label says that its first line is shown lowest; lines are kept as stored "
+        note += '(line_order = "label" or "top_first" in the import table decides)'
+        return False, [f"{source.path.name}: {note}"]
+    return table.line_order == "bottom_first", []
 
 
 def _stored(source: _Source, table: ImportTable, picture: Path, camera: Camera) -> StoredPixels:

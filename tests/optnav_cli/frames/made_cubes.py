@@ -114,7 +114,8 @@ def write_cube(path: Path, cube: Cube = Cube(), columns: int = COLUMNS, rows: in
     instrument = {"SpacecraftName": "MADE", "InstrumentId": "MADECAM", "TargetName": "MOON",
                   "StartTime": UTC, **cube.instrument}  # fmt: skip
     kernels = {"NaifFrameCode": str(CODE), **cube.kernels}
-    pixels = np.arange(rows * columns, dtype="<u2").tobytes()
+    # 0 to 2 are special pixels
+    pixels = np.arange(3, 3 + rows * columns, dtype="<u2").tobytes()
     start, data, blocks = 65537 + len(pixels), b"", ""
     for name, records in (standard_tables(cube) | cube.tables).items():
         raw = b"".join(struct.pack(f"<{len(record)}d", *record.values()) for record in records)

@@ -575,5 +575,5 @@ def test_lines_from_below_are_turned_where_the_table_says_so(tmp_path: Path) -> 
         imported = import_folder([path], out, options)
         values = load_picture(out / "a.tif", load_camera(tmp_path / "made.toml")).values
         np.testing.assert_array_equal(values, stored[::-1] if flipped else stored)
-        said = any("shown at the far end" in remark for remark in imported.remarks)
+        said = any("is shown lowest" in remark for remark in imported.remarks)
         assert said == (order == "")
