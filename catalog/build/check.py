@@ -15,6 +15,7 @@ from catalog.build.context import StageContext
 from catalog.build.select import SelectedCell
 from catalog.build.trials import outcomes_at
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
+from catalog.correlation.surf64 import MIN_SIDE
 from catalog.geometry.projection import MapProjection
 from catalog.rasters import held_settings
 from catalog.rendering.map_view import render_map
@@ -233,12 +234,16 @@ def shadowed_share(limits_deg: ArrayLike, suns_local: FloatArray) -> float:
     return float((elevation < limits[bins]).mean())
 
 
+def described_side(size: int) -> int:
+    """Side of the square that uniqueness describes in a patch of an even number of nodes a side."""
+    return size - 2 * min(UNIQUENESS_ROOM, size // 4, (size - MIN_SIDE) // 2)
+
+
 def _uniqueness(
     context: StageContext, projection: MapProjection, patches: Sequence[Patch]
 ) -> tuple[float, ...]:
     """Margins by level, worse of a morning and an afternoon Sun."""
     settings = context.config.check
-    room = min(UNIQUENESS_ROOM, context.size // 4)
     suns = sun_samples(
         projection.lat,
         1,
@@ -247,13 +252,13 @@ def _uniqueness(
         lowest=UNIQUENESS_SUN,
         highest=UNIQUENESS_SUN,
     )
+    side = described_side(context.size)
     margins = []
     for patch in patches:
         coarsest = patch is patches[-1]
         reach = settings.search_km * 1e3 / patch.posting_m if coarsest else FINE_SEARCH_NODES
         ground, law = (patch.heights_m, patch.posting_m), "lommel_seeliger"
         pictures = (render_map(*ground, sun, radius_m=projection.radius_m, law=law) for sun in suns)
-        side = context.size - 2 * room
         margins.append(min(uniqueness_margin(picture, side, reach) for picture in pictures))
     return tuple(margins)
 

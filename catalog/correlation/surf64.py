@@ -26,6 +26,7 @@ WEIGHT_SIGMA = 0.165
 MATCH_CELL_PX = 8
 # wavelets of two nodes carry every node's noise; SURF's own wavelet spans two samples of ~1.6
 MATCH_SMOOTHING_NODES = 1.0
+MIN_SIDE = 17  # nodes of a square that is described
 # correlation looks this far around the descriptor's peak, which is good to about a node
 REFINE_NODES = 3
 # distance to the best place over distance to the best rival; above it the two are not distinct
@@ -218,12 +219,12 @@ def descriptors(
 def similarity_surface(reference: Float32Array, search: Float32Array) -> Float32Array:
     """Cosine of the descriptors of a reference and of every place where it fits into a search grid.
 
-    reference (n, n), search (m, m) with m - n even, n >= 17.
+    reference (n, n), search (m, m) with m - n even, n >= MIN_SIDE.
     Returns (m - n + 1, m - n + 1) in -1..1; the middle element is the centred place.
     Raises ValueError for sizes that cannot be centred on each other or a reference too small.
     """
     n, m = reference.shape[0], search.shape[0]
-    if reference.shape != (n, n) or search.shape != (m, m) or m < n or (m - n) % 2 or n < 17:
+    if reference.shape != (n, n) or search.shape != (m, m) or m < n or (m - n) % 2 or n < MIN_SIDE:
         raise ValueError(f"reference {reference.shape} cannot be centred in search {search.shape}")
     cells, cell_px, margin = _layout(n)
     at = np.array([margin + cells * cell_px // 2])
@@ -238,7 +239,7 @@ def own_similarity_surface(search: Float32Array, side: int) -> Float32Array:
     Raises ValueError as `similarity_surface` does.
     """
     m = search.shape[0]
-    if search.shape != (m, m) or m < side or (m - side) % 2 or side < 17:
+    if search.shape != (m, m) or m < side or (m - side) % 2 or side < MIN_SIDE:
         raise ValueError(f"a square of {side} cannot be centred in search {search.shape}")
     cells, cell_px, margin = _layout(side)
     sums, weights = _cell_sums(_smoothed(search), cell_px), cell_weights(cells)

@@ -9,6 +9,7 @@ from tests.fuzz.kinds import (
     kernels,
     labels,
     landings,
+    map_words,
     meshes,
     orbits,
     pictures,
@@ -21,6 +22,6 @@ from tests.fuzz.kinds import (
 )
 
 MODULES = (
-    catalogs, command_lines, configs, designs, faults, kernels, labels, landings, meshes, orbits,
-    pictures, places, rasters, runs, sights, surroundings, tables,
+    catalogs, command_lines, configs, designs, faults, kernels, labels, landings, map_words, meshes,
+    orbits, pictures, places, rasters, runs, sights, surroundings, tables,
 )  # fmt: skip
