@@ -15,7 +15,7 @@ SOLVED = ("focal", "centre", "distortion", "mounting", "clock")
 OF_A_LENS = SOLVED[:3]
 IN_FLIGHT, OF_A_GRID = (
     ("catalogs", "config", "workers"),
-    ("grid", "name", "distance_mm", "error_mm"),
+    ("grid", "pattern", "name", "distance_mm", "error_mm"),
 )
 
 
@@ -66,9 +66,20 @@ def _size(
     "--grid-spacing-mm",
     "spacing_mm",
     type=Number(1e-3, 1e6),
-    help="Pictures show a plane grid of dots that are so far apart.",
+    help="Pictures show a plane grid of dots or corners that are so far apart; of OpenCV's "
+    "asymmetric grid its rows.",
 )
-@click.option("--grid", callback=_size, metavar="COLUMNSxROWS", help="Its dots; found if left out.")
+@click.option(
+    "--grid",
+    callback=_size,
+    metavar="COLUMNSxROWS",
+    help="Its dots, found if left out; a chessboard's inner corners, 4x11 for OpenCV's acircles.",
+)
+@click.option(
+    "--pattern",
+    type=click.Choice(["circles", "acircles", "chessboard"]),
+    help="By OpenCV's names; dots of either kind are found if left out.",
+)
 @click.option("--name", metavar="NAME", help="Of the camera that grids give; `grid` if left out.")
 @click.option(
     "--distance-mm",
@@ -98,8 +109,9 @@ def command(
     In flight: the cameras of FOLDER, by its pictures over known ground. Positions and attitudes of
     frames.csv (by satellite navigation and star sensors) are measurements with their sigmas.
 
-    With --grid-spacing-mm: one lens, by one or several pictures of a plane grid of round dots.
-    Tilted by 20 to 40 deg, or at a measured distance, a single picture will do.
+    With --grid-spacing-mm: one lens, by one or several pictures of a plane grid of round dots, in
+    rows or as OpenCV's asymmetric grid, or of a chessboard (--pattern). Tilted by 20 to 40 deg, or
+    at a measured distance, a single picture will do.
 
     OUTPUT gets cameras/ as found, calibration.json (values, sigmas, correlations, and what is not
     told apart), residuals.csv from before and after, and manifest.json. The cameras go into a
@@ -167,7 +179,11 @@ def _by_grids(
         raise click.UsageError(f"--name is {name!r}; wanted a plain word, the name of a file")
     kinds = [kind for kind in Common if kind.value in solve and kind.value in OF_A_LENS]
     distance = None if distance_mm is None else GridDistance(distance_mm, error_mm or 5.0)
-    inputs = GridInputs(pictures, spacing_mm, given["grid"], name or "grid", distance)
+    if given["pattern"] == "chessboard" and given["grid"] is None:
+        raise click.UsageError("--pattern chessboard wants --grid, its inner corners: 9x6")
+    inputs = GridInputs(
+        pictures, spacing_mm, given["grid"], name or "grid", distance, given["pattern"]
+    )
     return calibrate_grid(inputs, output, kinds, progress).lines()
 
 

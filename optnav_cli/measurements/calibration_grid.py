@@ -1,11 +1,14 @@
-"""A plane grid of round dots in a picture: which dot is which, and where its middle is.
+"""A plane grid in a picture: which dot or corner is which, and where it is.
 
-OpenCV finds round spots; from one in the middle on each is looked for where its neighbours lead, so
-that a lens with distortion, a tilted grid, spots that are none of it and dots that are lost do no
-harm. Middles are then centres of brightness of windows, which a blurred edge leaves where they are.
+Patterns are those of OpenCV's calibration: circles, acircles (CALIB_CB_ASYMMETRIC_GRID) and
+chessboard. For dots OpenCV finds round spots; from one in the middle on each is looked for where
+its neighbours lead, so that a lens with distortion, a tilted grid, spots that are none of it and
+dots that are lost do no harm. Middles are then centres of brightness of windows, which a blurred
+edge leaves where they are.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -24,16 +27,21 @@ STRETCH = (0.5, 99.5)  # percentiles of the picture that become black and white
 SQUARE = 0.5  # cosine between the two directions to neighbours, at most: a tilted grid is no square
 NEAR = 0.3  # of a step: as far from where it is looked for a neighbour may be
 WINDOW = 0.42  # of the distance of neighbours: half the window about a dot
+CORNER_WINDOW = 0.35  # of the distance of corners: half the window about one
 TRIMMED = 0.15  # of the contrast: fainter is paper and noise
 REFINEMENTS = 3
 STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
+Pattern = Literal["circles", "acircles", "chessboard"]
+
+
 @dataclass(frozen=True, eq=False)
 class GridDots:
-    """Dots of a picture: pixels (n, 2), and which column and row each is of, (n, 2).
+    """Dots or corners of a picture: pixels (n, 2), and where on the sheet each is, (n, 2).
 
-    size  columns and rows of the grid
+    places  along both sides, in steps; dots of an asymmetric grid are at (2 column + row % 2, row)
+    size    columns and rows of the grid, as OpenCV counts them
     """
 
     pixels: FloatArray
@@ -41,39 +49,136 @@ class GridDots:
     size: tuple[int, int]
 
 
-def find_dots(values: Float32Array, size: tuple[int, int] | None) -> GridDots:
-    """The dots of a grid, dark on light or light on dark, in a picture (rows, columns).
+def find_grid(
+    values: Float32Array, size: tuple[int, int] | None, pattern: Pattern | None = None
+) -> GridDots:
+    """Find the grid in a picture (rows, columns): dots of either kind, or corners if so stated.
 
-    size  columns and rows of dots; found if None
+    size     columns and rows of dots, or of inner corners; found if None, but for a chessboard
+    pattern  by OpenCV's name; None for dots of either kind
     Raises NoSolutionError where there is no whole grid.
     """
-    factor = min(1.0, DETECTED_PX / max(values.shape))
+    if pattern == "chessboard":
+        return _find_corners(values, size)
+    return find_dots(values, size, pattern)
+
+
+def _find_corners(values: Float32Array, size: tuple[int, int] | None) -> GridDots:
+    """Find the inner corners of a chessboard."""
+    if size is None or min(size) < MIN_SIDE:
+        raise NoSolutionError(
+            f"a chessboard's size is not stated; give its inner corners, at least {MIN_SIDE} x "
+            f"{MIN_SIDE}",
+            ReasonCode.NO_BODY,
+        )
+    scaled = _stretched(values)
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    seen, corners = cv2.findChessboardCornersSB(scaled, size, flags=flags)
+    if not seen:
+        raise NoSolutionError(
+            f"no chessboard of {size[0]} x {size[1]} inner corners; show the whole board with a "
+            "light border, and count inner corners, not squares",
+            ReasonCode.NO_BODY,
+        )
+    # a copy: views of another layout are refused as an output array
+    pixels = np.array(corners, np.float32).reshape(-1, 2)
+    apart = float(cKDTree(pixels).query(pixels, 2)[0][:, 1].min())
+    reach = max(int(CORNER_WINDOW * apart), 2)
+    ending = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
+    refined = cv2.cornerSubPix(
+        scaled, pixels.reshape(-1, 1, 2).copy(), (reach, reach), (-1, -1), ending
+    )
+    number = np.arange(size[0] * size[1])
+    places = np.stack([number % size[0], number // size[0]], axis=1)
+    return GridDots(np.asarray(refined, np.float64).reshape(-1, 2), places, size)
+
+
+def _stretched(values: Float32Array) -> NDArray[np.uint8]:
+    """Eight bits between the picture's black and white. Raises NoSolutionError for a flat one."""
     low, high = np.percentile(values, STRETCH)
     if not high > low:
         raise NoSolutionError("no grid of dots: the picture is flat", ReasonCode.NO_BODY)
-    scaled = np.clip((values - low) * (255.0 / (high - low)), 0.0, 255.0).astype(np.uint8)
+    scaled: NDArray[np.uint8] = np.clip((values - low) * (255.0 / (high - low)), 0.0, 255.0).astype(
+        np.uint8
+    )
+    return scaled
+
+
+def find_dots(
+    values: Float32Array, size: tuple[int, int] | None, pattern: Pattern | None = None
+) -> GridDots:
+    """The dots of a grid, dark on light or light on dark, in a picture (rows, columns).
+
+    size     columns and rows of dots; found if None
+    pattern  circles or acircles; None for the one that there is
+    Raises NoSolutionError where there is no whole grid.
+    """
+    factor = min(1.0, DETECTED_PX / max(values.shape))
+    scaled = _stretched(values)
     if factor < 1.0:
-        scaled = cv2.resize(scaled, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(scaled, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+        scaled = np.asarray(small, np.uint8)
     words = []
     for colour, name in ((0, "dark"), (255, "light")):
         spots = _spots(scaled, colour)
         pixels, places = _followed(spots)
         columns, rows = (int(n) for n in places.max(axis=0) + 1) if len(places) else (0, 0)
-        if size is not None and (rows, columns) == size != (columns, rows):
-            places, (columns, rows) = places[:, ::-1], size
         words.append(f"{len(pixels)} of {len(spots)} {name} spots lie on {columns} x {rows} places")
-        whole = len(pixels) >= (1.0 - MAX_LOST) * columns * rows
-        if min(columns, rows) < MIN_SIDE or not whole or size not in (None, (columns, rows)):
-            continue
-        # of a picture that was made smaller: middles of its pixels
-        pixels = (pixels + 0.5) / factor - 0.5
-        return GridDots(_centred(values, pixels, dark=colour == 0), places, (columns, rows))
+        for named, kind in (("circles", _as_rectangle), ("acircles", _as_asymmetric)):
+            grid = kind(places, size) if pattern in (None, named) else None
+            if grid is not None:
+                # of a picture that was made smaller: middles of its pixels
+                middles = (pixels + 0.5) / factor - 0.5
+                return GridDots(_centred(values, middles, dark=colour == 0), *grid)
     wanted = "" if size is None else f" of {size[0]} x {size[1]} dots"
+    wanted = f" ({pattern})" + wanted if pattern else wanted
     raise NoSolutionError(
         f"no grid{wanted}: {' and '.join(words)}; show the whole grid of at least {MIN_SIDE} x "
         f"{MIN_SIDE} round dots, sharp and evenly lit",
         ReasonCode.NO_BODY,
     )
+
+
+Numbered = tuple[IntArray, tuple[int, int]]
+
+
+def _as_rectangle(places: IntArray, size: tuple[int, int] | None) -> Numbered | None:
+    """Places (n, 2) and size of a whole rectangle of dots; None where they are none."""
+    if not len(places):
+        return None
+    columns, rows = (int(n) for n in places.max(axis=0) + 1)
+    if size is not None and (rows, columns) == size != (columns, rows):
+        places, (columns, rows) = places[:, ::-1], size
+    whole = len(places) >= (1.0 - MAX_LOST) * columns * rows
+    if min(columns, rows) < MIN_SIDE or not whole or size not in (None, (columns, rows)):
+        return None
+    return places, (columns, rows)
+
+
+def _as_asymmetric(places: IntArray, size: tuple[int, int] | None) -> Numbered | None:
+    """Places and size of OpenCV's asymmetric grid; None where dots are none.
+
+    Its dots stand on a square lattice that is turned by 45 deg: dot j of row i at (2 j + i % 2, i).
+    """
+    if not len(places):
+        return None
+    turned = np.stack([places[:, 0] + places[:, 1], places[:, 0] - places[:, 1]], axis=1)
+    turned = turned - turned.min(axis=0)
+    across, along = (int(n) for n in turned.max(axis=0) + 1)
+    for steps, (wide, rows) in ((turned, (across, along)), (turned[:, ::-1], (along, across))):
+        found = wide // 2, rows
+        # each row has the same number of dots, so the sheet is an even number of steps wide
+        if wide % 2 or min(found) < MIN_SIDE or size not in (None, found):
+            continue
+        if len(steps) >= (1.0 - MAX_LOST) * found[0] * rows:
+            # the first row begins at the border, as OpenCV's does: else it is seen from its end
+            first = steps.sum(axis=1) % 2
+            if first.mean() > 0.5:
+                steps = steps * [1, -1] + [0, rows - 1]
+            if (steps.sum(axis=1) % 2).mean() > 0.5:
+                steps = steps * [-1, 1] + [wide - 1, 0]
+            return steps, found
+    return None
 
 
 def _spots(picture: NDArray[np.uint8], colour: int) -> FloatArray:

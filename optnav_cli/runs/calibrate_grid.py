@@ -25,7 +25,7 @@ from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.tables import CALIBRATION_RESIDUALS
-from optnav_cli.measurements.calibration_grid import GridDots, find_dots
+from optnav_cli.measurements.calibration_grid import GridDots, Pattern, find_grid
 from optnav_cli.output.manifest import write_manifest
 from optnav_cli.output.run_folder import CAMERAS
 from optnav_cli.output.wording import json_text, table_lines
@@ -43,7 +43,9 @@ _log = logging.getLogger(__name__)
 class GridInputs:
     """Pictures of a grid, and what is said of them.
 
-    spacing_mm  from dot to dot;  size  columns and rows of dots, None where they are to be found
+    spacing_mm  from dot to dot, from corner to corner, of an asymmetric grid from row to row
+    size        columns and rows, None where they are to be found
+    pattern     by OpenCV's name; None for dots, of either kind
     name        of the camera;  distance  of the grid in the first picture, where it was measured
     """
 
@@ -52,6 +54,7 @@ class GridInputs:
     size: tuple[int, int] | None = None
     name: str = "grid"
     distance: GridDistance | None = None
+    pattern: Pattern | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +187,7 @@ def calibrate_grid(
                     given.name, "pinhole", width, height, max(width, height), (0.0, 0.0)
                 )
                 try:
-                    dots.append(find_dots(values, given.size))
+                    dots.append(find_grid(values, given.size, given.pattern))
                     files.append(path.name)
                 except NoSolutionError as error:
                     skipped.append(f"{path.name}: {error}")
@@ -208,6 +211,7 @@ def calibrate_grid(
                     "solve": [kind.value for kind in kinds],
                     "grid_spacing_mm": given.spacing_mm,
                     "grid": given.size,
+                    "pattern": given.pattern,
                     "distance_mm": given.distance.value_mm if given.distance else None,
                 },
                 inputs={

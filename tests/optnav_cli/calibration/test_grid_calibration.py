@@ -19,7 +19,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.main import run
-from optnav_cli.measurements.calibration_grid import find_dots
+from optnav_cli.measurements.calibration_grid import find_dots, find_grid
 from tests.optnav_cli.made_grids import drawn_grid
 
 LENS = Camera("lab", "pinhole", 320, 240, 450.0, (162.0, 118.0), "brown", (-0.2, 0.05, 0, 0, 0))
@@ -180,3 +180,86 @@ def test_options_that_do_not_go_together_are_refused(
 ) -> None:
     assert run(["-q", "calibrate", "one.png", *words, "-o", "out"]) == 2
     assert said in capsys.readouterr().err
+
+
+PATTERNS = {"acircles": ((4, 11), 150.0, 7.0), "chessboard": ((7, 5), 160.0, 10.0)}
+
+
+def pattern_view(pattern: str, turn: tuple[float, float, float]) -> GridView:
+    size, distance, spacing = PATTERNS[pattern]
+    picture = drawn_grid(LENS, size, distance, turn, spacing_mm=spacing, pattern=pattern)
+    # of dots either kind is found by itself
+    named = None if pattern == "acircles" else pattern
+    grid = find_grid(picture, None if named is None else size, named)
+    assert grid.size == size
+    return GridView(grid.pixels, grid.places)
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_opencvs_other_patterns_give_the_drawn_lens_and_opencvs_own_answer(pattern: str) -> None:
+    (columns, rows), _, spacing = PATTERNS[pattern]
+    views = [pattern_view(pattern, turn) for turn in TURNS]
+    found = calibrate_by_grids(BLANK, views, spacing, KINDS)
+    off = errors(found)
+    assert abs(off[0]) < 3e-3
+    assert off @ np.linalg.solve(found.covariance, off) / 5.0 < 3.0
+    # OpenCV's own numbering of the pattern, its own detector, its own fit
+    i, j = np.mgrid[:rows, :columns]
+    steps = np.stack([2 * j + i % 2 if pattern == "acircles" else j, i, 0 * i], axis=-1)
+    board = (spacing * steps.reshape(-1, 3)).astype(np.float32)
+    seen = []
+    for turn in TURNS:
+        size, distance, _ = PATTERNS[pattern]
+        picture = drawn_grid(LENS, size, distance, turn, spacing_mm=spacing, pattern=pattern)
+        eight = picture.astype(np.uint8)
+        if pattern == "acircles":
+            done, points = cv2.findCirclesGrid(eight, size, flags=cv2.CALIB_CB_ASYMMETRIC_GRID)
+        else:
+            done, points = cv2.findChessboardCorners(eight, size)
+            ending = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
+            points = cv2.cornerSubPix(eight, points, (8, 8), (-1, -1), ending) if done else points
+        if done:
+            seen.append(points)
+    assert len(seen) >= 2
+    flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
+    guess = np.array([[450.0, 0, 160], [0, 450.0, 120], [0, 0, 1]])
+    flags |= cv2.CALIB_USE_INTRINSIC_GUESS
+    _, matrix, _, _, _ = cv2.calibrateCamera(
+        [board] * len(seen), seen, (320, 240), guess, np.zeros(5), flags=flags
+    )
+    assert found.camera.focal_length_px == pytest.approx(matrix[0, 0], rel=8e-3)
+
+
+def test_dots_of_an_asymmetric_grid_are_numbered_as_opencv_numbers_them() -> None:
+    grid = find_grid(
+        drawn_grid(LENS, (4, 11), 150.0, (5.0, 10.0, 5.0), spacing_mm=7.0, pattern="acircles"),
+        None,
+    )
+    assert grid.size == (4, 11)
+    wanted = {(2 * j + i % 2, i) for i in range(11) for j in range(4)}
+    assert {(int(x), int(y)) for x, y in grid.places} == wanted
+
+
+def test_another_pattern_than_the_stated_one_is_refused() -> None:
+    picture = drawn_grid(LENS, (4, 11), 150.0, spacing_mm=7.0, pattern="acircles")
+    with pytest.raises(NoSolutionError, match=r"no grid \(circles\)"):
+        find_grid(picture, None, "circles")
+    with pytest.raises(NoSolutionError, match="count inner corners, not squares"):
+        find_grid(picture, (9, 6), "chessboard")
+    with pytest.raises(NoSolutionError, match="size is not stated"):
+        find_grid(picture, None, "chessboard")
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_the_command_takes_opencvs_patterns(pattern: str, tmp_path: Path) -> None:
+    size, distance, spacing = PATTERNS[pattern]
+    files = []
+    for number, turn in enumerate(TURNS):
+        picture = drawn_grid(LENS, size, distance, turn, spacing_mm=spacing, pattern=pattern)
+        files.append(str(write(picture, tmp_path / f"{number}.png")))
+    words = ["--grid-spacing-mm", str(spacing), "--pattern", pattern, "-o", str(tmp_path / "out")]
+    assert run(["calibrate", *files, *words, "--grid", f"{size[0]}x{size[1]}"]) == 0
+    camera = load_camera(tmp_path / "out/cameras/grid.toml")
+    assert camera.focal_length_px == pytest.approx(450.0, rel=5e-3)
+    if pattern == "chessboard":
+        assert run(["calibrate", *files, *words]) == 2
