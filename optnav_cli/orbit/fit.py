@@ -18,6 +18,7 @@ from catalog.bodies.epochs import DAY_S, utc_from_tdb_s
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.smoother import LinearArc, SmoothedArc, nuisance, smooth
 from optnav_cli.orbit.first import first_orbit
+from optnav_cli.orbit.missing_forces import check_pattern, mending
 from optnav_cli.orbit.problem import OrbitProblem, Trajectory
 from optnav_cli.orbit.settings import PRIOR_SIGMAS, NoiseModel
 from optnav_cli.orbit.verdict import MEDIAN_OF_3, FitVerdict
@@ -154,7 +155,7 @@ def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float)
     at, weights = _start(problem, solver)
     at, found = solver.settle(at, np.ones(len(weights)))
     residuals = _residuals(problem, at, found, np.ones(len(weights), bool))
-    _check_breaks(problem, found, residuals)
+    _check_breaks(problem, at, found, residuals)
     used = weights > DOUBTED
     gate = float(chdtri(3, gate_probability))
     seen: set[bytes] = set()
@@ -167,7 +168,8 @@ def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float)
             break
         seen.add(used.tobytes())
         used = judged
-    remarks = _judge(problem, found, residuals)
+    remarks = check_pattern(problem, at, used, alone=False)
+    remarks += _judge(problem, found, residuals)
     covariances, width = with_considered(problem, at, found, used, solver), problem.width
     return OrbitFit(
         problem,
@@ -290,7 +292,9 @@ def _judged(residuals: list[FixResidual], gate: float) -> BoolArray:
     return np.array([r.chi_square < (limit if r.used else gate) for r in residuals])
 
 
-def _check_breaks(problem: OrbitProblem, found: SmoothedArc, residuals: list[FixResidual]) -> None:
+def _check_breaks(
+    problem: OrbitProblem, at: Trajectory, found: SmoothedArc, residuals: list[FixResidual]
+) -> None:
     """Raise NoSolutionError where the fixes before and after a time are of two orbits.
 
     The adjoint state of an interval tests a shock there: with three numbers a manoeuvre, with six
@@ -310,19 +314,24 @@ def _check_breaks(problem: OrbitProblem, found: SmoothedArc, residuals: list[Fix
     if best is None or best[0] < limit:
         return
     chi_square, i, shock, by_kick = best
+    mends, forces = mending(problem, at, np.ones(len(residuals), bool))
     when = f"between {_utc(problem, i)} and {_utc(problem, i + 1)}"
     if by_kick > 0.5 * chi_square and by_kick > limit:
         speed = float(np.linalg.norm(_solved(found.information[i][3:6, 3:6], found.scores[i][3:6])))
-        raise NoSolutionError(
+        broken = (
             f"a manoeuvre {when}: the velocity changes by {speed:.3g} m/s there (chi-square "
             f"{by_kick:.0f} of 3); describe it as [[forces.thrust]], or fit each part by itself"
         )
-    apart = float(np.linalg.norm(shock[:3]))
-    raise NoSolutionError(
-        f"the arc does not close: {when} the orbit jumps by {apart / 1e3:.3g} km and "
-        f"{np.linalg.norm(shock[3:]):.3g} m/s (chi-square {chi_square:.0f} of 6); the fixes are of "
-        "two flights or bodies, or the craft has manoeuvred: fit each part by itself"
-    )
+    else:
+        apart = float(np.linalg.norm(shock[:3]))
+        broken = (
+            f"the arc does not close: {when} the orbit jumps by {apart / 1e3:.3g} km and "
+            f"{np.linalg.norm(shock[3:]):.3g} m/s (chi-square {chi_square:.0f} of 6); the fixes "
+            "are of two flights or bodies, or the craft has manoeuvred: fit each part by itself"
+        )
+    if mends:
+        raise NoSolutionError(f"the forces lack something: {forces}. If not that, {broken}")
+    raise NoSolutionError(f"{broken}. Of forces left out {forces}")
 
 
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:

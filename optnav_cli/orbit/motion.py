@@ -71,6 +71,10 @@ class ArcMotion:
         self._noise = noise
         self.sizes = sizes or noise_sizes()
 
+    def with_forces(self, forces: Forces) -> "ArcMotion":
+        """Make the motion by other forces, with the same noise."""
+        return ArcMotion(forces, self._noise, None, self.sizes)
+
     def with_added(self, values: Mapping[str, FloatArray]) -> "ArcMotion":
         """The same motion with so much more of parameters of the forces."""
         if not values:

@@ -10,14 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, solve_triangular
 
-from catalog.arrays import FloatArray
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.geometry.vectors import unit
 from optnav_cli.dynamics.forces import THRUST
-from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement
-from optnav_cli.orbit.motion import ArcMotion
+from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement, SmoothedArc
+from optnav_cli.orbit.motion import ArcMotion, rnb_of
 from optnav_cli.orbit.settings import OF_FIXES, ParameterSettings
 from optnav_cli.orbit.shared_errors import SharedErrorSizes, shared_errors
 
@@ -248,6 +248,29 @@ class OrbitProblem:
             else:
                 of_considered[:, p.span] = derivative
         return fix.position_m - place, design, of_considered
+
+    def left_over(self, at: Trajectory, weights: FloatArray) -> float:
+        """Of chi-square: what the measurements of a linear arc say no more about."""
+        return 0.0
+
+    def standardised(
+        self, at: Trajectory, found: SmoothedArc, used: BoolArray
+    ) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Residuals (n,) over their sigmas, number (n,) of the series of each, and TDB s (n,).
+
+        The axes R, N, B of fixes are three series; what near fixes have in common is taken off.
+        """
+        rows, numbers = [], np.flatnonzero(used)
+        for number in numbers:
+            fix, node = self.fixes[number], self.node_of[number]
+            residual = self.measure(int(number), at)[0]
+            moved, own = self.shared.split(int(number), fix.covariance_m2)
+            residual = residual - moved @ found.deviations[node, self.width :, 0]
+            axes = rnb_of(at.states[node]) @ self.turn(int(number)).T
+            root = np.linalg.cholesky(axes @ own @ axes.T)
+            rows.append(solve_triangular(root, axes @ residual, lower=True))
+        times = np.repeat([self.fixes[number].tdb_s for number in numbers], 3)
+        return np.array(rows).ravel(), np.tile(np.arange(3), len(rows)), times
 
     def _derivative(
         self, p: FitParameter, number: int, turn: FloatArray, state: FloatArray, offset: float

@@ -15,6 +15,7 @@ from catalog.errors import ConfigError, DataError
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.shape import load_shape
 from optnav_cli.dynamics.gravity_field import HarmonicField
+from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
 from optnav_cli.orbit.qso_field import mesh_field
 from optnav_cli.orbit.qso_motion import MoonMotion
 
@@ -102,6 +103,7 @@ def motion_of_moon(forces: MoonForces, moon: Body, beside: Path) -> MoonMotion:
         field = mesh_field(shape, moon.radius_m, forces.degree)
     else:
         field = forces.field
+        warn_of_unknown_gravity(moon)
     return MoonMotion(moon, forces.planet_flattening, field)
 
 

@@ -23,6 +23,7 @@ from optnav_cli.orbit.fit import (
     unobserved_remarks,
     with_considered,
 )
+from optnav_cli.orbit.missing_forces import check_pattern
 from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.problem import OrbitPrior, Trajectory
 from optnav_cli.orbit.settings import ParameterSettings
@@ -105,6 +106,7 @@ def fit_zenith(
     """Fit. Raises NoSolutionError where the sights leave the orbit open or fit none."""
     _check(sights, bool(priors))
     fit = best_fit(motion, sights, priors, parameters, gate_probability)
+    check_pattern(fit.problem, fit.trajectory, fit.looks.used, alone=True)
     return with_remarks(fit, [*_one_star(sights), *_judged_fit(fit)])
 
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from catalog.arrays import FloatArray, IntArray
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.geometry.rotations import ARCSEC
-from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement
+from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement, SmoothedArc
 from optnav_cli.orbit.motion import rnb_of
 from optnav_cli.orbit.problem import SIZES, FitParameter, OrbitProblem, Trajectory
 from optnav_cli.orbit.settings import OF_FIXES
@@ -123,6 +123,18 @@ class ZenithProblem(OrbitProblem):
             _compressed(one)[0] if len(one.residual) > self.width else one for one in measured
         ]
         return replace(arc, measurements=[*arc.measurements, *compressed]), paths
+
+    def left_over(self, at: Trajectory, weights: FloatArray) -> float:
+        """What no change of the nodes' states takes away."""
+        return self.remainder(self.rows(at), weights)
+
+    def standardised(
+        self, at: Trajectory, found: SmoothedArc, used: BoolArray
+    ) -> tuple[FloatArray, IntArray, FloatArray]:
+        """As that of fixes; the sights of a star are a series."""
+        sights = self.sights
+        values = self.rows(at).residuals / sights.sigmas_rad
+        return values[used], sights.star_of[used], sights.tdb_s[used]
 
     def remainder(self, rows: SightRows, weights: FloatArray) -> float:
         """Of chi-square: what no change of the nodes' states takes away."""

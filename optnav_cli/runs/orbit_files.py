@@ -11,6 +11,7 @@ from catalog.files import replacing_file, starts_with, write_output
 from catalog.geometry.ellipsoid import geodetic_from_xyz
 from catalog.geometry.rotations import rnb_axes
 from catalog.progress import Progress
+from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
 from optnav_cli.frames.orbit_tables import PICTURE_TIMES
 from optnav_cli.orbit.folder import (
     ORBIT_CSV,
@@ -45,6 +46,7 @@ def predict_orbit(
     path meets the body before the first of them.
     """
     path = OrbitPath(read_orbit(folder))
+    warn_of_unknown_gravity(path.orbit.body, path.orbit.forces)
     to_s = utc_to_tdb_s(to_utc, "--to")
     if path.first_s <= to_s <= path.last_s:
         ends = " to ".join(utc_from_tdb_s(t, 0) for t in (path.first_s, path.last_s))
@@ -136,6 +138,7 @@ def time_pictures(run: Path, folder: Path, output: Path, margin_s: float) -> lis
     Raises DataError for a run about another body, NothingToDoError where the orbit passes none.
     """
     path = OrbitPath(read_orbit(folder))
+    warn_of_unknown_gravity(path.orbit.body, path.orbit.forces)
     found = read_fixes([read_run(run)])
     if found.body.name != path.orbit.body.name:
         raise DataError(

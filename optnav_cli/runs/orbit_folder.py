@@ -21,6 +21,7 @@ from catalog.progress import logged_stage
 from catalog.terrain.dem.file import path_of
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.forces import Forces
+from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
 from optnav_cli.fix import Method, Solution
 from optnav_cli.frames.run_settings import FileAttitude, write_run_settings
 from optnav_cli.orbit.fit import OrbitFit, densify, fit_orbit
@@ -90,6 +91,7 @@ def fit_runs(
         found = read_fixes(read, lens="focal" in named)
         kernels = _kernels(read, settings, beside)
         ephemeris = motion_of(found.body, [Path(name) for name in kernels])
+        warn_of_unknown_gravity(found.body, settings.forces)
         priors = orbit_priors(settings.prior, ephemeris, beside, _ends(found.fixes))
         settings = _with_whole_paths(settings, beside)
         settings = with_solved(settings, solve, found.fixes, priors)

@@ -15,6 +15,7 @@ from catalog.errors import DataError, UsageError
 from catalog.files import hash_file, replacing_folder
 from catalog.terrain.dem.file import path_of
 from optnav_cli.dynamics.forces import Forces
+from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
 from optnav_cli.frames.run_settings import (
     RUN_TOML,
     RunSettings,
@@ -100,6 +101,7 @@ def fit_zenith_files(
     found = read_zenith_inputs(inputs)
     kernels = [str(path_of(name, beside).resolve()) for name in settings.spice.kernels]
     ephemeris = motion_of(found.body, [Path(name) for name in kernels])
+    warn_of_unknown_gravity(found.body, settings.forces)
     settings = _with_solved(settings, solve)
     ends = float(found.sights.tdb_s[0]), float(found.sights.tdb_s[-1])
     priors = orbit_priors(settings.prior, ephemeris, beside, ends)
