@@ -20,7 +20,7 @@ PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 # With threads of its own in each of these, products of small matrices take four times as long.
 ONE_THREAD := OPENBLAS_NUM_THREADS=1
 
-.PHONY: help setup demo test check lint types tests fuzz bench bench-global golden docs newest lock clean
+.PHONY: help setup demo test check lint types tests fuzz cases bench bench-global golden docs newest lock clean
 
 help: ## print this list
 	@echo "optnav: control-point catalogs from terrain, camera positions from pictures"
@@ -60,6 +60,10 @@ tests: $(READY) ## tests alone (ARGS="-k nearest -x" is handed to pytest; -n 0: 
 
 fuzz: $(READY) ## hostile inputs (N=500 SEED=1; one of them again: CASE=kind:seed; KINDS=config)
 	$(BIN)/python -m tests.fuzz -n $(N) --seed $(SEED) --kinds "$(KINDS)" --case "$(CASE)" $(ARGS)
+
+cases: $(READY) ## read a folder of other programs' files, each right or refused (DIR=/some/folder)
+	@[ -n "$(DIR)" ] || { echo "make: name the folder with files/ and archives/: make cases DIR=/some/folder" >&2; exit 2; }
+	$(BIN)/python -m tests.cases "$(DIR)" $(ARGS)
 
 study-%: $(READY) ## one long experiment behind the figures, such as study-selection
 	$(BIN)/optnav study $* $(ARGS)
