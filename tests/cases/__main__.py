@@ -1,7 +1,8 @@
-"""Runs the cases of a folder: `python -m tests.cases FOLDER [NAME ...]`; ends with 5 for a wrong one.
+"""Run the cases of a folder: `python -m tests.cases FOLDER [NAME ...]`; 5 if one is wrong.
 
 FOLDER has `files` and `archives`: files that other programs wrote, each of which is to be read
-right or refused with the reason. They are not part of the project.
+right or refused with the reason. They are not part of the project. The case of a gap in a kernel
+needs the kernels of the folder that OPTNAV_SHARED_DATA names.
 """
 
 import sys

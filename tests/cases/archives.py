@@ -1,4 +1,4 @@
-"""Cases of archives' files as missions ship them: position, attitude and Sun against their labels."""
+"""Cases of archives' files as missions ship them: position and attitude against their labels."""
 
 from collections.abc import Callable
 from functools import partial
