@@ -63,6 +63,41 @@ def compare_imports(right: Path, case: Path, out: Path, table: str, camera: Path
         if run.code:
             return Outcome("wrong", run.error[:160])
         rows.append(read_rows(folder / "frames.csv")[0])
+    names = "qw qx qy qz x_m y_m z_m sun_x sun_y sun_z"
+    off = np.abs(read_vector(rows[0], names) - read_vector(rows[1], names)).max()
+    same = bool(off < 1e-2) and rows[0]["utc"] == rows[1]["utc"]
+    return Outcome("right" if same else "wrong", f"differs by {off:.3g}, time {rows[1]['utc']}")
+
+
+def compare_priors(case: Path, out: Path) -> Outcome:
+    """Compare the orbit from a prior with covariances along RTN with that of inertial ones."""
+    places = []
+    for name in ("inertial", "rtn"):
+        folder = out / name
+        words = ("--config", case / f"{name}.toml", "-o", folder)
+        run = run_command("orbit", "fit", case / "run", *words)
+        if run.code:
+            return judge_refusal(run, "COV_REF_FRAME")
+        rows = read_rows(folder / "orbit.csv")
+        places.append([read_vector(row, "x_m y_m z_m") for row in rows])
+    off = float(np.abs(np.array(places[0]) - np.array(places[1])).max())
+    return Outcome("right" if off < 10.0 else "wrong", f"the two orbits differ by {off:.3g} m")
+
+
+def fit_with_segments(case: Path, out: Path) -> Outcome:
+    """Fit an orbit with a prior of two segments, and judge it by the truth."""
+    words = ("--config", case / "two_segments.toml", "-o", out / "orbit")
+    run = run_command("orbit", "fit", case / "run", *words)
+    if run.code:
+        return judge_refusal(run)
+    run = run_command("evaluate", out / "orbit", "--truth", case / "run/truth.csv", "--max-nees", 3)
+    match = re.search(r"normalised error squared ([\d.]+)", run.text)
+    return Outcome("right" if run.code == 0 else "wrong", f"NEES {match[1] if match else '?'}")
+
+
+def import_gap(case: Path, out: Path) -> Outcome:
+    """Import times of which the second lies in a gap of the kernel: it is left out, named."""
+    words = ("--table", case / "t.toml", "--camera", case / "cam.toml")
     shared = Path(os.environ.get("OPTNAV_SHARED_DATA", "")) / "spice"
     names = "moon_080317.tf moon_pa_de421_1900-2050.bpc naif0012.tls de405s_littleendian.bsp"
     paths = [case / "gap09.bsp", *(shared / name for name in names.split())]
