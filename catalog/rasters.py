@@ -127,9 +127,20 @@ def reopen_raster(path: Path, drivers: tuple[str, ...]) -> Any:
         kinds = "GeoTIFF, PDS3, PDS4, ISIS cube"
         kinds += ", VRT" if "VRT" in drivers else ", PNG"
         remedy = f"broken or of no known kind; optnav reads {kinds}"
-        if path.suffix.lower() == ".img":
+        if _is_fits(path):
+            remedy = "FITS is not read as a map; make it a GeoTIFF or an ISIS cube"
+        elif path.suffix.lower() == ".img":
             remedy = f"a PDS3 image needs its label {path.with_suffix('.LBL').name} beside it"
         raise DataError(f"{path}: cannot be opened ({gdal_reason(error)}); {remedy}") from None
+
+
+def _is_fits(path: Path) -> bool:
+    """Whether a file begins as FITS does."""
+    try:
+        with path.open("rb") as file:
+            return file.read(9) == b"SIMPLE  ="
+    except OSError:
+        return False
 
 
 @contextmanager

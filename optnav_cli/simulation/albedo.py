@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numba
 import numpy as np
+from rasterio.enums import ColorInterp
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
@@ -183,7 +184,7 @@ def _extent(path: Path, edges: tuple[float, float, float, float]) -> tuple[float
 
 def _bands(dataset: Any) -> int:
     """Bands that hold brightness: three of a colour map, else the first."""
-    return 3 if dataset.count >= 3 else 1
+    return 3 if dataset.count >= 3 and dataset.colorinterp[2] != ColorInterp.alpha else 1
 
 
 def _brightness(path: Path, dataset: Any, coding: str) -> Float32Array:
@@ -191,7 +192,7 @@ def _brightness(path: Path, dataset: Any, coding: str) -> Float32Array:
 
     sRGB is decoded by IEC 61966-2-1.
     """
-    bands, special = range(1, _bands(dataset) + 1), read_map_label(path, dataset).special
+    bands, label = range(1, _bands(dataset) + 1), read_map_label(path, dataset)
     total = np.zeros(dataset.shape, np.float32)
     for band in bands:
         raw = dataset.read(band)
@@ -201,8 +202,8 @@ def _brightness(path: Path, dataset: Any, coding: str) -> Float32Array:
             values = np.clip(values / np.float32(full), 0.0, 1.0)
             curve = ((values + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
             values = np.where(values <= 0.04045, values / np.float32(12.92), curve)
-        low, high = nodata_range(dataset.nodata, str(raw.dtype))
-        valid = Validity.of(dataset, band, special).valid(dataset, raw, band)
+        low, high = nodata_range(label.nodata, str(raw.dtype))
+        valid = Validity.of(dataset, band, label.special).valid(dataset, raw, band)
         stored = raw.astype(np.float64)  # the bounds may lie beyond a float32
         values[~valid | ((stored >= low) & (stored <= high))] = np.nan
         total += values / np.float32(len(bands))

@@ -39,6 +39,8 @@ class MapLabel:
     axes_m     equatorial and polar radius
     unit       of the scaled values
     special    stored values that are no measurement
+    nodata     the no-data value of GDAL, which takes constants in hexadecimal for 0 or 16: None
+               where `special` has all that the label names
     remarks    to show
     """
 
@@ -46,6 +48,7 @@ class MapLabel:
     axes_m: tuple[float, float] = (1.0, 1.0)
     unit: str = ""
     special: SpecialValues | None = None
+    nodata: float | None = None
     remarks: tuple[str, ...] = ()
 
     @property
@@ -67,7 +70,8 @@ def read_map_label(path: Path, dataset: Any) -> MapLabel:
     elif dataset.driver == "PDS4":
         stated = _elements(path)
     else:
-        return MapLabel(special=ISIS.get(dtype) if dataset.driver == "ISIS2" else None)
+        special = ISIS.get(dtype) if dataset.driver == "ISIS2" else None
+        return MapLabel(special=special, nodata=dataset.nodata)
     texts = [(name, _plain(text)) for name, (text, _) in stated.items()]
     remarks = check_keywords(path, texts, KEYWORDS)
     names = "Mapping.LongitudeDirection", *_maps("POSITIVE_LONGITUDE_DIRECTION")
@@ -77,7 +81,7 @@ def read_map_label(path: Path, dataset: Any) -> MapLabel:
         known.get(direction),
         _axes(stated),
         _first(stated, "IMAGE.UNIT")[0],
-        _special(path, stated, dtype, dataset),
+        *_special(path, stated, dtype, dataset),
         tuple(remarks),
     )
     names = "Mapping.LatitudeType", "Geodetic_Model.latitude_type", *_maps("COORDINATE_SYSTEM_NAME")
@@ -170,8 +174,13 @@ def _axes(stated: Stated) -> tuple[float, float]:
     return 1.0, 1.0
 
 
-def _special(path: Path, stated: Stated, dtype: str, dataset: Any) -> SpecialValues | None:
-    """Special values of the type, and those that the label names; None for those GDAL has."""
+def _special(
+    path: Path, stated: Stated, dtype: str, dataset: Any
+) -> tuple[SpecialValues | None, float | None]:
+    """Special values of the type and those that the label names, and GDAL's no-data value.
+
+    None in place of the first where the second is all, and of the second where the first is.
+    """
     isis = ISIS[dtype] if dataset.driver == "ISIS3" and dtype in ISIS else SpecialValues()
 
     def numbers(*names: str) -> list[float]:
@@ -182,17 +191,19 @@ def _special(path: Path, stated: Stated, dtype: str, dataset: Any) -> SpecialVal
             if (number := _number(path, where, _first(stated, where)[0], dtype)) is not None
         ]
 
-    missing = {*isis.missing, *numbers(*MISSING_KEYWORDS)}
+    named = numbers(*MISSING_KEYWORDS)
+    missing = {*isis.missing, *named}
     saturated = {*isis.saturated, *numbers(*SATURATED_KEYWORDS)}
     lowest, highest = numbers("VALID_MINIMUM"), numbers("VALID_MAXIMUM")
     if missing <= {dataset.nodata} and not (saturated or lowest or highest):
-        return None
-    return SpecialValues(
+        return None, dataset.nodata
+    special = SpecialValues(
         tuple(sorted(missing)),
         tuple(sorted(saturated)),
         max(lowest, default=-np.inf),
         min(highest, default=np.inf),
     )
+    return special, None if named else dataset.nodata
 
 
 def _number(path: Path, name: str, text: str, dtype: str) -> float | None:

@@ -8,6 +8,7 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -80,6 +81,12 @@ class DemSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     units: Literal["m", "km", "dm", "cm"] | None = None
     longitude: Literal["east", "west"] | None = None
     crs: str | None = None
+
+
+@lru_cache(maxsize=1024)
+def report_once(path: Path, words: str) -> None:
+    """Report what a file says; files are opened again for each piece of work."""
+    log.warning("%s: %s", path, words)
 
 
 @dataclass
@@ -157,11 +164,11 @@ class DemSource:
                 f"{path}: scale is {scale:g}, offset {offset:g}; set `scale` and `offset` in "
                 f"{section}"
             )
-        nodata = settings.nodata if settings.nodata is not None else dataset.nodata
+        nodata = settings.nodata if settings.nodata is not None else label.nodata
         convert = Conversion(scale * factor, offset * factor, *nodata_range(nodata, dtype))
         validity = Validity.of(dataset, special=label.special)
         for remark in (*unused_bands(dataset, 1, "heights"), *label.remarks):
-            log.warning("%s: %s", path, remark)
+            report_once(path, remark)
         block = tuple(dataset.block_shapes[0])
         source = cls(
             path,
@@ -231,7 +238,7 @@ class DemSource:
             )
         if abs(shift) >= MIN_DATUM_SHIFT_M:
             words += f"; {shift:+.6g} m bring them to the body's, {radius / 1e3:.10g} km"
-            log.warning("%s: %s", self.path, words)
+            report_once(self.path, words)
         self.convert = self.convert._replace(offset_m=self.convert.offset_m + shift)
 
     @property

@@ -49,6 +49,12 @@ def test_a_file_that_is_no_raster(tmp_path, moon):
     refused(tmp_path / "text.tif", moon, "cannot be opened", "GeoTIFF")
 
 
+def test_a_fits_file(tmp_path, moon):
+    card = b"SIMPLE  =                    T".ljust(80) + b"END".ljust(80)
+    (tmp_path / "map.fits").write_bytes(card.ljust(2880) + bytes(2880))
+    refused(tmp_path / "map.fits", moon, "FITS is not read as a map", "GeoTIFF")
+
+
 def test_an_image_without_its_label(tmp_path, moon):
     (tmp_path / "LDEM.IMG").write_bytes(bytes(1000))
     refused(tmp_path / "LDEM.IMG", moon, "LDEM.LBL")

@@ -149,6 +149,8 @@ def test_heights_above_another_sphere_are_brought_to_the_body(
     np.testing.assert_array_equal(source.read_window(0, 0, SIZE, SIZE), expected)
     told = [record.message for record in caplog.records]
     assert len(told) == (radius_m != 1737400.0)
+    opened(path, moon)  # reported once a file
+    assert len(caplog.records) == len(told)
     assert all(f"{radius_m - 1737400.0:+g} m bring them" in words for words in told)
     # an offset that is stated says what heights count from
     stated = opened(path, moon, offset=0.0)
@@ -220,6 +222,7 @@ def test_a_foreign_unit_of_a_label_is_refused(tmp_path, moon, ground):
     [
         ("MISSING_CONSTANT", "-9999", -9999),
         ("INVALID_CONSTANT", "16#8001#", -32767),
+        ("MISSING_CONSTANT", "16#8001#", -32767),
         ("SATURATED_CONSTANT", "32767", 32767),
         ("HIGH_INSTR_SATURATION", "'32766'", 32766),
         ("VALID_MINIMUM", "-8000", -8001),
