@@ -21,6 +21,8 @@ from optnav_cli.parameters import PATH, Number, OutputOption, SolvedLimit
 LIMIT = Number(0.0, 1e9, min_open=True)
 SOLVABLE = ("body_rotation", "origin", "scale", "boresight", "focal")
 
+MEASURED_KINDS = ("stars", "cylinder")  # runs of single measurements, without a position
+
 
 @click.command(
     "simulate", cls=OptnavCommand, short_help="Make a folder of pictures with known positions."
@@ -195,6 +197,7 @@ def evaluate(
       optnav evaluate run --truth pictures/truth.csv --max-horizontal-m 30
       optnav evaluate run --truth pictures/truth.csv --min-solved 90% --max-wrong 0
       optnav evaluate orbit --truth pictures/truth.csv
+      optnav evaluate sky-run --truth sky/truth.csv
       optnav evaluate hazard --truth site.tif --max-dangerous-share 0.07
     """
     from catalog.errors import UsageError
@@ -214,6 +217,12 @@ def evaluate(
     if made_by_optnav(run, "orbit"):
         _evaluate_orbit(run, truth, as_json, limits)
         return
+    for kind in MEASURED_KINDS:
+        if made_by_optnav(run, kind):
+            if any(limit is not None for limit in limits.values()):
+                raise UsageError(f"{run}: is a {kind} folder, which the limits are not for")
+            _evaluate_measured(run, truth, kind, as_json)
+            return
     evaluation, wanted = evaluate_run(run, truth), Limits(**limits)
     figures = evaluation.figures_if_any()
     if as_json:
@@ -226,6 +235,16 @@ def evaluate(
         check_limits(figures, wanted)
     write_evaluation(evaluation, run)
     check_limits(figures, wanted)
+
+
+def _evaluate_measured(folder: Path, truth: Path, kind: str, as_json: bool) -> None:
+    from optnav_cli.evaluation.measured import evaluate_cylinder, evaluate_stars, write_measured
+    from optnav_cli.output.wording import json_text
+
+    found = (evaluate_stars if kind == "stars" else evaluate_cylinder)(folder, truth)
+    document = {"run": folder, "truth": truth} | found.summary()
+    click.echo(json_text(document) if as_json else found.to_text())
+    write_measured(found, folder)
 
 
 def _evaluate_orbit(folder: Path, truth: Path, as_json: bool, given: dict[str, Any]) -> None:
@@ -313,16 +332,24 @@ def export(run: Path, output: Path) -> None:
 
     camera_track is a line below each camera; camera_positions has a point for each frame, with its
     sigma, method and reason; footprints the ground in each solved frame, up to the limb;
-    matched_points the control points that were tried.
+    matched_points the control points that were tried. Of a run of `stars` the boresights on the
+    sky, of `cylinder` the camera's places about its axis.
 
     \b
     Example:
       optnav export run -o run.gpkg
     """
+    from catalog.files import made_by_optnav
     from optnav_cli.output.run_folder import read_run
+    from optnav_cli.report.measured_layers import export_cylinder, export_stars
     from optnav_cli.report.run_layers import export_run
 
-    counts = export_run(read_run(run), output)
+    if made_by_optnav(run, "stars"):
+        counts = export_stars(run, output)
+    elif made_by_optnav(run, "cylinder"):
+        counts = export_cylinder(run, output)
+    else:
+        counts = export_run(read_run(run), output)
     click.echo(f"{output}: {', '.join(f'{name} {count}' for name, count in counts.items())}")
 
 

@@ -122,7 +122,7 @@ def _checked(
     kept: Sequence[MatchRow], truth: Truth, camera: Camera | None
 ) -> tuple[int | None, int | None]:
     """How many kept matches there are, and how many lie WRONG_PX from the point's true pixel."""
-    if camera is None:
+    if camera is None or not truth.has_attitude:
         return None, None
     if not kept:
         return 0, 0
@@ -153,7 +153,7 @@ def _frame_error(
         return frame
     error = solution.position_m - truth.position_m
     angle = None
-    if solution.camera_from_body is not None:
+    if solution.camera_from_body is not None and truth.has_attitude:
         angle = float((solution.camera_from_body * truth.camera_from_body.inv()).magnitude())
     n_checked, n_wrong = _checked(kept.get(solution.file, ()), truth, camera)
     return replace(

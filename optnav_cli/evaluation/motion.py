@@ -115,6 +115,8 @@ def other_frame(
         if solution.camera_from_body is None:
             continue
         truth = by_file[solution.file]
+        if not truth.has_attitude:
+            continue
         inertial_from_body = attitude.inertial_from_body(truth.tdb_s)
         written = attitude.written(truth.camera_from_body, truth.tdb_s)
         for name, reading in READINGS.items():

@@ -121,9 +121,26 @@ TIMES_AND_CAMERAS = CsvTable((FILE, UTC, CAMERA))
 TRUTH = CsvTable(
     (
         *(FILE, UTC, *_position("true position of the camera", ".4f", empty=False)),
+        *_quaternion("true attitude", ".12f"),
+    ),
+    by_hand=True,
+)
+
+STAR_TRUTH = CsvTable(
+    (
+        *(FILE, text("utc", UTC.meaning, empty=True)),
         *_quaternion("true attitude", ".12f", empty=False),
     ),
     by_hand=True,
+)
+
+MEASURED = CsvTable(
+    (
+        *(FILE, text("quantity", "what was measured")),
+        text("unit", "of the error and its sigma"),
+        number("error", "measured less true", "", ".6g"),
+        number("sigma", "its stated 1 sigma", "", ".6g"),
+    )
 )
 
 SOLUTION = CsvTable(
@@ -353,12 +370,12 @@ CYLINDER = CsvTable(
 
 CYLINDER_TRUTH = CsvTable(
     (
-        *(FILE, UTC),
+        *(FILE, text("utc", UTC.meaning, empty=True)),
         number("d_m", "true distance to the nearest surface", "m", "z.5f", empty=False),
-        number("theta_deg", "true angle of the light", "deg", "z.4f", empty=False),
-        number("bearing_deg", "true bearing of the axis", "deg", "z.4f", empty=False),
-        number("vx_m_s", "true velocity to the light", "m/s", "z.5f", empty=False),
-        number("vy_m_s", "true velocity across", "m/s", "z.5f", empty=False),
+        number("theta_deg", "true angle of the light", "deg", "z.4f"),
+        number("bearing_deg", "true bearing of the axis", "deg", "z.4f"),
+        number("vx_m_s", "true velocity to the light", "m/s", "z.5f"),
+        number("vy_m_s", "true velocity across", "m/s", "z.5f"),
     ),
     by_hand=True,
 )

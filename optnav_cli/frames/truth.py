@@ -22,6 +22,7 @@ class Truth:
     """The true state of the camera when it took a picture.
 
     position_m (3,) body frame, m; tdb_s in TDB s past J2000
+    has_attitude  whether the attitude is stated; else camera_from_body is none
     """
 
     file: str
@@ -29,6 +30,7 @@ class Truth:
     tdb_s: float
     position_m: FloatArray
     camera_from_body: Rotation
+    has_attitude: bool = True
 
 
 def read_truth(path: str | Path, attitude: FileAttitude) -> list[Truth]:
@@ -62,21 +64,22 @@ def _truth(row: CsvRow, attitude: FileAttitude) -> Truth:
     if row.problem:
         raise DataError(row.problem)
     position, quaternion = row.vector(POSITION), row.vector(QUATERNION)
-    if position is None or quaternion is None:
-        raise DataError("a position or quaternion is empty; fill it in")
+    if position is None:
+        raise DataError("a position is empty; fill it in")
     if np.abs(position).max() > MAX_DISTANCE_M:
         raise DataError(f"the position lies more than {MAX_DISTANCE_M:g} m from the body")
     tdb_s = utc_to_tdb_s(row["utc"], "utc")
-    camera_from_body = attitude.read(rotation_from_quaternion(*quaternion), tdb_s)
     place = attitude.places.catalog(position)
+    if quaternion is None:
+        return Truth(row["file"], row["utc"], tdb_s, place, Rotation.identity(), has_attitude=False)
+    camera_from_body = attitude.read(rotation_from_quaternion(*quaternion), tdb_s)
     return Truth(row["file"], row["utc"], tdb_s, place, camera_from_body)
 
 
 def _cells(truth: Truth, attitude: FileAttitude) -> dict[str, object]:
-    rotation = attitude.written(truth.camera_from_body, truth.tdb_s)
-    return {
-        "file": truth.file,
-        "utc": truth.utc,
-        **dict(zip(POSITION, attitude.places.stated(truth.position_m), strict=True)),
-        **dict(zip(QUATERNION, quaternion_from_rotation(rotation), strict=True)),
-    }
+    cells: dict[str, object] = {"file": truth.file, "utc": truth.utc}
+    cells |= zip(POSITION, attitude.places.stated(truth.position_m), strict=True)
+    if truth.has_attitude:
+        rotation = attitude.written(truth.camera_from_body, truth.tdb_s)
+        cells |= zip(QUATERNION, quaternion_from_rotation(rotation), strict=True)
+    return cells

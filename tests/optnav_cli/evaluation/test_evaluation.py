@@ -386,3 +386,14 @@ def test_without_a_truth_rows_hold_what_the_solutions_state(tmp_path):
             assert row.direction_sigma == pytest.approx(
                 np.degrees(frame.direction_error[1]) * 3600.0, rel=1e-3
             )
+
+
+def test_a_truth_without_quaternions_compares_positions_alone(tmp_path, make_run):
+    errors = make_run(tmp_path)
+    lines = [line.split(",") for line in (tmp_path / "truth.csv").read_text().splitlines()]
+    first = lines[0].index("qw")
+    (tmp_path / "truth.csv").write_text("".join(",".join(line[:first]) + "\n" for line in lines))
+    evaluation = evaluate_run(tmp_path, tmp_path / "truth.csv")
+    found = np.array([frame.error_rnb_m for frame in evaluation.frames])
+    np.testing.assert_allclose(found, errors, atol=2e-3)
+    assert evaluation.figures().attitude_rms is None

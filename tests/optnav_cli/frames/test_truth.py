@@ -51,3 +51,13 @@ def test_a_truth_with_holes_is_refused(rows: list[str], message: str, tmp_path: 
     with pytest.raises(DataError, match=message) as caught:
         read_truth(path, ATTITUDE)
     assert "truth.csv" in str(caught.value)
+
+
+def test_a_truth_may_come_without_attitudes(tmp_path: Path) -> None:
+    path = tmp_path / "truth.csv"
+    path.write_text(f"file,utc,x_m,y_m,z_m\na.png,{UTC},1837400,0,0\n")
+    (truth,) = read_truth(path, ATTITUDE)
+    assert not truth.has_attitude
+    write_truth(path, ATTITUDE, [truth])
+    assert path.read_text().splitlines()[1].endswith(",,,,")
+    assert not read_truth(path, ATTITUDE)[0].has_attitude

@@ -1,0 +1,118 @@
+"""Runs of stars and cylinders for GIS programs: boresights on the sky, places of the camera."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from catalog.errors import DataError, OutputError
+from catalog.files import replacing_file
+from catalog.geometry.rotations import rotation_from_quaternion
+from catalog.store.connection import SIDECARS
+from catalog.store.geopackage import (
+    BLUE,
+    MOON_RADIUS_M,
+    UNDATED,
+    Feature,
+    FeatureLayer,
+    Rule,
+    describe_geopackage,
+    new_geopackage,
+    point_geometry,
+    style_qml,
+    table_columns,
+)
+from optnav_cli.frames.tables import ATTITUDES, CYLINDER, QUATERNION
+from optnav_cli.output.manifest import read_manifest
+
+ENDING = ".gpkg"
+# Of the GeoPackage standard: numbers of an undefined Cartesian and an undefined geographic system.
+CARTESIAN, GEOGRAPHIC = -1, 0
+_ROW = ("file TEXT NOT NULL", "utc TEXT NOT NULL", "status TEXT NOT NULL", "reason TEXT NOT NULL")
+BORESIGHTS = FeatureLayer(
+    "boresights",
+    "POINT",
+    "Where the camera's axis points, right ascension (-180 to 180) and declination, ICRS, deg",
+    (
+        *(*_ROW, "ra_deg DOUBLE", "dec_deg DOUBLE", "sigma_across_arcsec DOUBLE"),
+        *("sigma_about_arcsec DOUBLE", "n_used INTEGER", "residual_rms_px DOUBLE"),
+    ),
+    style_qml(Rule("boresight", "", "circle", BLUE, 2.4)),
+)
+PLACES = FeatureLayer(
+    "camera_places",
+    "POINT",
+    "The camera from the cylinder's axis, m: y towards the light, x to where theta grows",
+    (
+        *(*_ROW, "zone TEXT NOT NULL", "d_m DOUBLE", "d_sigma_m DOUBLE", "theta_deg DOUBLE"),
+        *("theta_sigma_deg DOUBLE", "bearing_deg DOUBLE", "vx_m_s DOUBLE", "vy_m_s DOUBLE"),
+    ),
+    style_qml(Rule("camera", "", "circle", BLUE, 2.4)),
+)
+
+
+def export_stars(run: Path, path: Path) -> dict[str, int]:
+    """Write the boresights of a run of `stars` to a .gpkg file; return how many rows there are.
+
+    Raises DataError for a damaged run, OutputError for another ending or a file of other contents.
+    """
+    return _written(path, BORESIGHTS, GEOGRAPHIC, lambda: _boresights(run))
+
+
+def export_cylinder(run: Path, path: Path) -> dict[str, int]:
+    """Write the camera's places of a run of `cylinder`; as `export_stars`."""
+    return _written(path, PLACES, CARTESIAN, lambda: _places(run))
+
+
+def _written(
+    path: Path, layer: FeatureLayer, srs_id: int, make: Callable[[], Iterator[Feature]]
+) -> dict[str, int]:
+    if path.suffix.lower() != ENDING:
+        raise OutputError(f"{path}: a run is written as {ENDING}; choose a name that ends so")
+    features = list(make())
+
+    def is_ours(place: Path) -> bool:
+        return table_columns(place, layer.name) == layer.names
+
+    with replacing_file(path, is_ours, SIDECARS) as partial, new_geopackage(partial) as db:
+        describe_geopackage(db, "moon", MOON_RADIUS_M, UNDATED)
+        layer.create(db)
+        layer.register(db, srs_id, layer.fill(db, iter(features)), UNDATED)
+    return {layer.name: len(features)}
+
+
+def _boresights(run: Path) -> Iterator[Feature]:
+    for number, row in enumerate(ATTITUDES.rows(run / "attitudes.csv"), start=1):
+        head = tuple(row[name] for name in ("file", "utc", "status", "reason"))
+        quaternion = row.vector(QUATERNION)
+        if quaternion is None:
+            yield (number, None, *head, *(None,) * 6), None
+            continue
+        x, y, z = rotation_from_quaternion(*quaternion).inv().apply((0.0, 0.0, 1.0))
+        ra, dec = (
+            float(np.degrees(np.arctan2(y, x))),
+            float(np.degrees(np.arcsin(np.clip(z, -1, 1)))),
+        )
+        across = [row.number(f"sigma_{axis}_arcsec") for axis in "xy"]
+        worst = None if None in across else max(value for value in across if value is not None)
+        cells = (ra, dec, worst, row.number("sigma_z_arcsec"), row.count("n_used"))
+        place = point_geometry(ra, dec, GEOGRAPHIC)
+        yield (number, place, *head, *cells, row.number("residual_rms_px")), (ra, dec, ra, dec)
+
+
+def _places(run: Path) -> Iterator[Feature]:
+    inputs = read_manifest(run).get("inputs")
+    radius = inputs.get("radius_m") if isinstance(inputs, dict) else None
+    if not isinstance(radius, int | float):
+        raise DataError(f"{run}: its manifest.json has no radius_m of the cylinder; run it again")
+    names = ("d_m", "d_sigma_m", "theta_deg", "theta_sigma_deg", "bearing_deg", "vx_m_s", "vy_m_s")
+    for number, row in enumerate(CYLINDER.rows(run / "cylinder.csv"), start=1):
+        head = tuple(row[name] for name in ("file", "utc", "status", "reason", "zone"))
+        cells = tuple(row.number(name) for name in names)
+        distance, theta = cells[0], cells[2]
+        if distance is None or theta is None:
+            yield (number, None, *head, *cells), None
+            continue
+        turn, away = np.radians(theta), radius + distance
+        x, y = float(away * np.sin(turn)), float(away * np.cos(turn))
+        yield (number, point_geometry(x, y, CARTESIAN), *head, *cells), (x, y, x, y)
