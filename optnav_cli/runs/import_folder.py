@@ -32,6 +32,7 @@ from optnav_cli.frames.fits_picture import find_unit, fits_shape, is_fits, read_
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.full_scale import find_full_scale
+from optnav_cli.frames.geometry_check import check_import
 from optnav_cli.frames.isis_camera import CubeCamera, crop_camera, read_cube_camera
 from optnav_cli.frames.isis_cube import CubePose, Label, read_cube_label, read_cube_pose
 from optnav_cli.frames.label_geometry import VectorKeys, unstated_keys
@@ -164,6 +165,7 @@ class _Importer:
         self._cameras: dict[str, Camera] = {}
         self._frames: dict[str, Frame] = {}
         self._skipped: list[str] = []
+        self._doubts: list[str] = []
         self._notes: dict[str, None] = {}  # in order, each once
         self._pixel_notes: list[str] = []
 
@@ -218,6 +220,8 @@ class _Importer:
         self._pixel_notes += said
         self._cameras[camera.name] = camera
         self._frames[file] = frame
+        doubts = check_import(self._place / file, frame, camera, motion)
+        self._doubts += [f"{file}: {doubt}" for doubt in doubts]
         self._note(table, frame, camera, source.label)
         self._notes |= maker.notes
         if shot is not None:
@@ -309,6 +313,7 @@ class _Importer:
         write_folder(self._place, settings, cameras, frames)
         remarks = [f"left out: {reason}" for reason in self._skipped]
         remarks += self._pixel_notes
+        remarks += [f"contradiction: {doubt}" for doubt in self._doubts]
         remarks += [f"not known: {note}" for note in self._notes]
         count = "1 picture" if len(frames) == 1 else f"{len(frames)} pictures"
         return Imported(frames, [f"{output}: {count} of {self._body[1].body.name}", *remarks])

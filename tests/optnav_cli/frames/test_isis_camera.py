@@ -296,6 +296,15 @@ def test_polynomials_of_jigsaw_are_evaluated(tmp_path: Path) -> None:
         imported(tmp_path, Cube(instrument={"ExposureDuration": "0 <s>"}, tables=tables))
 
 
+def test_a_camera_that_looks_away_is_told(tmp_path: Path) -> None:
+    position = standard_tables(Cube())["InstrumentPosition"][0]
+    wrong = position | {f"J2000{axis}": -position[f"J2000{axis}"] for axis in "XYZ"}
+    _, _, _, remarks = imported(tmp_path, Cube(tables={"InstrumentPosition": [wrong]}))
+    (line,) = (line for line in remarks if line.startswith("contradiction: "))
+    assert "a.tif: the camera looks away from moon" in line
+    assert "mend the sign of the position vector" in line
+
+
 def test_tables_of_another_picture_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="after its StartTime"):
         imported(tmp_path, Cube(instrument={"StartTime": "2009-01-20T13:00:00"}))
