@@ -19,6 +19,7 @@ from optnav_cli.camera.camera_file import MAX_PIXELS
 from optnav_cli.frames.fits_picture import find_unit, fits_shape, is_fits, read_fits
 from optnav_cli.frames.frames import picture_path
 from optnav_cli.frames.full_scale import find_full_scale
+from optnav_cli.frames.margins import find_margins
 from optnav_cli.frames.picture_tags import check_tags, read_tags
 from optnav_cli.frames.raster_pixels import read_raster
 from optnav_cli.frames.stored_pixels import StoredPixels
@@ -39,6 +40,10 @@ _TURNS: dict[str, Callable[[NDArray[Any]], NDArray[Any]]] = {
     "8": np.rot90,
 }
 _SIDEWAYS = ("5", "6", "7", "8")
+
+
+class PictureSizeError(DataError):
+    """A picture is of another size than its camera's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +100,13 @@ def load_picture(path: str | Path, camera: Camera | None) -> Picture:
     turn = tags.get("Orientation", "1") if camera and camera.exif_orientation == "apply" else "1"
     pixels = _turned(_read(path, camera, turn), turn, camera)
     missing = _missing(pixels, camera)
+    margins = find_margins(pixels.values, missing)
+    if margins is not None:
+        missing = margins if missing is None else missing | margins
+        remarks.append(
+            f"{path.name}: {100.0 * margins.mean():.1f} % of its pixels are margins or lost lines "
+            "of one value, and count as pixels without one"
+        )
     saturation = _saturation(path, pixels, missing, camera)
     values, saturation = _decoded(pixels, saturation, camera)
     values, factor = _counts(values, missing)
@@ -117,7 +129,7 @@ def frame_picture(folder: Path, file: str, camera: Camera) -> Picture:
     try:
         return load_picture(path, camera)
     except DataError as error:
-        raise DataError(str(error).replace(str(path), file)) from None
+        raise type(error)(str(error).replace(str(path), file)) from None
 
 
 def _missing(pixels: StoredPixels, camera: Camera | None) -> BoolArray | None:
@@ -208,7 +220,7 @@ def _check_size(path: Path, shape: tuple[int, int], camera: Camera | None, turn:
     """Raise DataError for a picture, as stored, of another size than the camera's, or too large."""
     height, width = shape[::-1] if turn in _SIDEWAYS else shape
     if camera is not None and (height, width) != camera.shape:
-        raise DataError(
+        raise PictureSizeError(
             f"{path}: the picture is {width} x {height}; camera "
             f"'{camera.name}' takes {camera.width_px} x {camera.height_px}"
         )

@@ -32,9 +32,9 @@ from catalog.terrain.dem.file import path_of
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchKind, Method, NoFix, Solution
 from optnav_cli.frames.folder import Folder, read_folder
-from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.frames import Frame, picture_path
 from optnav_cli.frames.picked_points import POINTS_CSV, PickedPoint
-from optnav_cli.frames.picture import LaterPicture, Picture, frame_picture
+from optnav_cli.frames.picture import LaterPicture, Picture, PictureSizeError, frame_picture
 from optnav_cli.frames.run_settings import RUN_TOML, InertialSettings
 from optnav_cli.measurements.stars.sky import SkyView, StarSight, star_sight
 from optnav_cli.navigation.answers import Answers, NavigationInputs, Outcome
@@ -278,6 +278,7 @@ class FrameWorker:
         try:
             points = self.points_of(frame)
             if points is not None:
+                self._check_size(frame, camera)
                 return self.picked.solve(frame, camera, points), True
             if not answers and (remarks := self._picture(frame, camera).remarks):
                 answers[REMARKS] = pack(remarks)
@@ -343,7 +344,7 @@ class FrameWorker:
         camera = self.folder.cameras.get(frame.camera)
         if camera is not None and not frame.problem:
             try:
-                gray = self._shown(frame, camera)
+                gray, undrawn = self._shown(frame, camera)
                 image = image or recorded_image(gray, camera)
                 if row is not None:
                     outlines = _patch_outlines(row, camera, self.inputs.points)
@@ -363,14 +364,32 @@ class FrameWorker:
         lines = str(error).splitlines()
         return f"{what} ({type(error).__name__}{': ' if lines else ''}{lines[0] if lines else ''})"
 
-    def _shown(self, frame: Frame, camera: Camera) -> ByteArray:
-        """What a frame's row is drawn on: its picture; black where picked points need none."""
+    def _shown(self, frame: Frame, camera: Camera) -> tuple[ByteArray, str]:
+        """What a frame's row is drawn on: its picture; black where picked points need none.
+
+        Also why a picture that is there is not shown.
+        """
         try:
-            return eight_bits(self._picture(frame, camera).values)
-        except DataError:
+            return eight_bits(self._picture(frame, camera).values), ""
+        except PictureSizeError:
+            raise
+        except DataError as error:
             if self.points_of(frame) is None:
                 raise
-            return np.zeros(camera.shape, np.uint8)
+            there = picture_path(self.folder.path, frame.file).exists()
+            return np.zeros(camera.shape, np.uint8), f"not shown: {error}" if there else ""
+
+    def _check_size(self, frame: Frame, camera: Camera) -> None:
+        """Raise DataError where a frame of picked points has a picture of another size.
+
+        Its pixels are not those of the camera. It needs no picture, nor one that can be read.
+        """
+        try:
+            self._picture(frame, camera)
+        except PictureSizeError:
+            raise
+        except DataError:
+            pass
 
     def _picture(self, frame: Frame, camera: Camera) -> Picture:
         """A frame's picture; the last one is at hand. Raises DataError."""

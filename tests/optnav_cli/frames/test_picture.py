@@ -269,6 +269,19 @@ def test_coded_counts_become_linear_in_light(
     assert picture.saturation == pytest.approx(float(linear(np.array([255.0]))[0]))
 
 
+def test_margins_of_one_value_are_named(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    values = np.rint(rng.normal(20.0, 2.0, CAMERA.shape)).astype(np.uint8)
+    values[60:100, 80:140] = rng.integers(150, 220, (40, 60))
+    edges = np.zeros(CAMERA.shape, bool)
+    edges[:, :16] = True
+    values[edges] = 0
+    picture = load_picture(saved(tmp_path / "a.png", values), CAMERA)
+    without(picture, edges, values)
+    (remark,) = picture.remarks
+    assert remark.startswith("a.png: 8.0 % of its pixels are margins or lost lines of one value")
+
+
 def test_a_mask_picture_and_the_order_of_lines_are_the_camera_s(tmp_path: Path) -> None:
     values = content()
     path = saved(tmp_path / "a.png", values)

@@ -3,6 +3,7 @@
 import contextlib
 import csv
 
+import cv2
 import numpy as np
 import pyproj
 import pytest
@@ -238,3 +239,27 @@ def test_a_wrong_row_of_points_is_refused_with_its_line(tmp_path, column, value,
     rows[1][column] = value
     with pytest.raises(DataError, match=words):
         read_folder(write_picked(tmp_path / "f", made, rows))
+
+
+def overlay_of(run):
+    (path,) = run.glob("overlays/*.png")
+    return cv2.imread(str(path))
+
+
+def test_the_overlay_shows_a_colour_picture_and_a_resized_one_is_an_error(tmp_path):
+    """A black overlay would hide which craters were picked."""
+    made = scene(3)
+    folder = write_picked(tmp_path / "f", made, rows_of(made))
+    solved(folder, tmp_path / "none")
+    height, width = made.camera.shape
+    x = np.linspace(40, 250, width).astype(np.uint8)
+    colour = np.dstack([np.tile(x // part, (height, 1)) for part in (1, 2, 3)])
+    cv2.imwrite(str(folder / "a.png"), colour)
+    (row,), _ = solved(folder, tmp_path / "colour")
+    assert row.fix is not None
+    black, shown = (overlay_of(tmp_path / run) for run in ("none", "colour"))
+    assert np.median(shown[: height // 4]) > np.median(black[: height // 4]) + 40
+    cv2.imwrite(str(folder / "a.png"), colour[::2, ::2])
+    (row,), _ = solved(folder, tmp_path / "resized")
+    assert row.outcome.reason.code == ReasonCode.BAD_PICTURE
+    assert f"a.png: the picture is {(width + 1) // 2} x" in row.outcome.reason.text
