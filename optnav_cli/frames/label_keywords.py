@@ -14,11 +14,6 @@ _J2000 = Keyword(
     "turn the angles to J2000",
     ("", "ICRS", "FK5", "GCRS", "J2000", "2000", "2000.0", "J2000.0"),
 )
-_MIRRORED = Keyword(
-    "refused",
-    "write the picture unmirrored, and name it with --picture",
-    ("", "RIGHT", "LEFT TO RIGHT", "N/A", "UNK"),
-)
 _ROWS = Keyword("used", "line_order of the table says how the rows are stored")
 _DERIVED = Keyword("harmless", "follows from position, attitude and body")
 _SIZE = Keyword("harmless", "the picture's size, which must be the camera's, shows it")
@@ -45,8 +40,13 @@ KEYWORDS = {
     "coordinate_system_name": Keyword("used", "as Reference_Frame_Identification"),
     **dict.fromkeys(("TIMESYS", "TIME_SYSTEM", "TIME_SCALE", "TIMESCALE"), _UTC),
     **dict.fromkeys(("RADESYS", "RADECSYS", "EQUINOX"), _J2000),
-    **dict.fromkeys(("SAMPLE_DISPLAY_DIRECTION", "horizontal_display_direction"), _MIRRORED),
-    **dict.fromkeys(("LINE_DISPLAY_DIRECTION", "vertical_display_direction"), _ROWS),
+    **dict.fromkeys(
+        (
+            *("LINE_DISPLAY_DIRECTION", "SAMPLE_DISPLAY_DIRECTION"),
+            *("vertical_display_direction", "horizontal_display_direction"),
+        ),
+        _ROWS,
+    ),
     "CUT_OUT_WINDOW": Keyword(
         "reported", "pixels outside of it have no value", ("1,1,800,800", "1,1,1024,1024")
     ),

@@ -20,7 +20,7 @@ KEYWORDS = {
     "DataConversionType": Keyword("refused", _CODED, ("", "12BIT", "8LSB", "N/A", "UNK")),
     "MESS:COMP12_8": Keyword("refused", _CODED, ("", "0", "N/A", "UNK")),
     "COMP12_8": Keyword("refused", _CODED, ("", "0", "N/A", "UNK")),
-    "ENCODING_TYPE": Keyword(
+    "IMAGE.ENCODING_TYPE": Keyword(  # others are the telemetry's, as Galileo's
         "refused", "the pixels are compressed: unpack the picture", ("", "N/A", "NONE", "UNK")
     ),
     "LINE_DISPLAY_DIRECTION": Keyword("used", "which line is uppermost"),

@@ -107,7 +107,9 @@ def _one_band(
 
 def _masked(dataset: Any) -> BoolArray:
     """Mark the pixels (h, w) that GDAL's mask leaves out."""
-    if dataset.mask_flag_enums[0] == [MaskFlags.all_valid]:
+    # GDAL takes 0 for no value in unsigned PDS3 pictures whose label names none: a dark sky is 0
+    is_invented = dataset.driver == "PDS" and dataset.nodata == 0.0
+    if is_invented or dataset.mask_flag_enums[0] == [MaskFlags.all_valid]:
         return np.zeros((1, 1), np.bool_)
     masked: BoolArray = dataset.read_masks(1) != 255
     return masked

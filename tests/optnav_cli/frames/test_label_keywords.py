@@ -36,12 +36,9 @@ def test_what_changes_the_meaning_of_numbers_is_refused(tmp_path: Path, key: str
 
 @pytest.mark.parametrize(
     ("key", "value"), [("TIMESYS", "TDB"), ("TIME_SYSTEM", "ET"), ("RADESYS", "FK4"),
-                       ("EQUINOX", "1950.0"), ("SAMPLE_DISPLAY_DIRECTION", "LEFT"),
-                       ("horizontal_display_direction", "Right to Left")]
+                       ("EQUINOX", "1950.0")]
 )  # fmt: skip
-def test_other_frames_times_and_directions_are_refused(
-    tmp_path: Path, key: str, value: str
-) -> None:
+def test_other_frames_and_times_are_refused(tmp_path: Path, key: str, value: str) -> None:
     with pytest.raises(DataError, match=f"states {key} = {value}"):
         check_label(label(tmp_path, key, value))
 

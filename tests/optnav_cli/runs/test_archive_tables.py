@@ -8,13 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import DataError
 from optnav_cli.camera.camera_file import load_camera
+from optnav_cli.frames.archive_label import read_label
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.label_geometry import AttitudeKeys, read_attitude
+from optnav_cli.frames.picture import load_picture
 from optnav_cli.runs.import_folder import ImportOptions, import_folder
 
 MDIS = """PDS_VERSION_ID               = PDS3
@@ -71,7 +76,8 @@ VICAR = (
     "NL=800  NS=800  NB=1  N1=800  N2=800  N3=1  N4=0  NBB=200  NLB=0  INTFMT='LOW'  "
     "REALFMT='VAX'  TASK='SSIMERGE'  MISSION='GALILEO'  SENSOR='SSI'  TARGET='GANYMEDE'  "
     "SCETYEAR=1996  SCETDAY=178  SCETHOUR=8  SCETMIN=46  SCETSEC=4  SCETMSEC=890  "
-    "TLMFMT='HIS'  TWIST=68.3644  RA=251.613  DEC=-16.4157  CUT_OUT_WINDOW=(2,1,399,392)  "
+    "TLMFMT='HIS'  ENCODING_TYPE='INTEGER COSINE TRANSFORM '  "
+    "TWIST=68.3644  RA=251.613  DEC=-16.4157  CUT_OUT_WINDOW=(2,1,399,392)  "
     "SUB_SOLAR_LATITUDE=-1.87338  SUB_SOLAR_LONGITUDE=125.636  SUB_SPACECRAFT_LATITUDE=-8.0665  "
     "SUB_SPACECRAFT_LONGITUDE=155.526  TARGET_CENTER_DISTANCE=665796.0  "
     "PARTITION=1  READOUTMODE='NOT APPLICABLE'  TASK='CATLABEL'  USER='DLC''040'  "
@@ -160,7 +166,8 @@ def test_a_label_of_cassini_wants_kernels(tmp_path: Path) -> None:
         "LBLSIZE=1024            FORMAT='BYTE'  TYPE='IMAGE'  DIM=3  EOL=0  RECSIZE=1024  "
         "ORG='BSQ'  NL=1024  NS=1024  NB=1  N1=1024  N2=1024  N3=1  N4=0  NBB=0  NLB=0  "
         "INTFMT='LOW'  REALFMT='RIEEE'  PROPERTY='IDENTIFICATION'  INSTRUMENT_ID='ISSNA'  "
-        "TARGET_NAME='MOON'  INSTRUMENT_MODE_ID='FULL'  IMAGE_MID_TIME='1999-230T03:28:00.473Z'  "
+        "DATA_CONVERSION_TYPE='TABLE'  TARGET_NAME='MOON'  INSTRUMENT_MODE_ID='FULL'  "
+        "IMAGE_MID_TIME='1999-230T03:28:00.473Z'  "
     )
     path = tmp_path / "a.img"
     path.write_text(label.ljust(1024) + "\0" * 1024**2)
@@ -177,3 +184,141 @@ def test_a_target_is_matched_by_words(tmp_path: Path) -> None:
         import_folder([tmp_path / "a.lbl"], tmp_path / "out", ImportOptions(body="io"))
     assert "shows DIONE by its label, not io" in str(refused.value)
     assert load_body("io").name == "io"
+
+
+DAWN = """PDS_VERSION_ID                = PDS3
+RECORD_TYPE                   = FIXED_LENGTH
+RECORD_BYTES                  = 2048
+FILE_RECORDS                  = 1024
+^IMAGE                        = ("PICTURE.IMG", 1)
+INSTRUMENT_HOST_ID            = "DAWN"
+INSTRUMENT_ID                 = "FC2"
+START_TIME                    = 2015-170T16:15:46.345
+EXPOSURE_DURATION             = 1800.000 <millisecond>
+RIGHT_ASCENSION               = 289.753 <degree>
+DECLINATION                   = 64.400 <degree>
+TWIST_ANGLE                   = 95.606 <degree>
+CELESTIAL_NORTH_CLOCK_ANGLE   = 275.606 <degree>
+QUATERNION                    = (
+    0.5213655224
+    , -0.1747575947
+    , 0.1361764644
+    , -0.8240714445
+)
+COORDINATE_SYSTEM_NAME        = "CERES_FIXED"
+SC_TARGET_POSITION_VECTOR     = ("N/A" , "N/A" , "N/A")
+TARGET_NAME                   = "1 CERES"
+LINE_DISPLAY_DIRECTION        = "UP"
+RETICLE_POINT_RA              = (
+)
+OBJECT                        = IMAGE
+    LINE_SAMPLES              = 1024
+    LINES                     = 1024
+    SAMPLE_BITS               = 16
+    SAMPLE_TYPE               = "LSB_UNSIGNED_INTEGER"
+END_OBJECT                    = IMAGE
+END
+"""
+
+
+def camera_from_inertial(frame: Frame, body: str) -> Rotation:
+    motion = AnalyticEphemeris(load_body(body))
+    assert frame.camera_from_body is not None
+    assert frame.tdb_s is not None
+    return frame.camera_from_body * Rotation.from_matrix(motion.body_from_inertial(frame.tdb_s))
+
+
+def test_a_label_of_dawn_gives_attitude_and_turned_rows_without_a_position(tmp_path: Path) -> None:
+    """Its right ascension, declination and twist say what its quaternion does: to 1e-3 deg."""
+    pixels = np.arange(1024, dtype="<u2")[:, None] + np.zeros((1, 1024), "<u2")
+    (tmp_path / "a.lbl").write_text(DAWN)
+    (tmp_path / "picture.img").write_bytes(pixels.tobytes())
+    import_folder([tmp_path / "a.lbl"], tmp_path / "out")
+    (frame,) = read_folder(tmp_path / "out").frames
+    assert (frame.problem, frame.position_m) == (None, None)
+    assert frame.utc == "2015-06-19T16:15:47.245Z"
+    boresight = AttitudeKeys(boresight=("RIGHT_ASCENSION", "DECLINATION", "-TWIST_ANGLE"))
+    angles = read_attitude(read_label(tmp_path / "a.lbl", "pds3"), boresight)
+    half_turn = Rotation.from_euler("z", 180.0, degrees=True)
+    apart = camera_from_inertial(frame, "ceres") * (half_turn * angles).inv()
+    assert np.degrees(apart.magnitude()) < 1e-3
+    camera = load_camera(Path(__file__).parents[3] / "configs/cameras/dawn_fc2.toml")
+    values = load_picture(tmp_path / "out/a.tif", camera).values
+    assert values[0, 0] > values[-1, 0]  # the last line of the file is uppermost
+
+
+def test_a_header_of_hayabusa2_gives_the_attitude_of_its_corners(tmp_path: Path) -> None:
+    """The half-lit Earth's middle is at pixel (567.5, 774.5), 0.2 deg from where its orbit has it.
+
+    USGS ALE has the state at 08:44:58; two-body motion back to 00:00:06 gives the header's distance
+    of 202,859 km and the Earth at right ascension 74.563, declination -33.810 deg.
+    """
+    corners = {"1": (145.817, -31.0681), "2": (106.558, 11.5177), "3": (68.0724, -68.6221),
+               "4": (54.6155, -12.443)}  # fmt: skip
+    cards = ["XTENSION= 'IMAGE   '", "BITPIX  = 16", "NAXIS   = 2", "NAXIS1  = 1024",
+             "NAXIS2  = 1024", "PCOUNT  = 0", "GCOUNT  = 1", "NAIFNAME= 'HAYABUSA2_ONC-W2'",
+             "OBJECT  = 'EARTH   '", "DATE-OBS= '2015-12-03T00:00:06.639'"]  # fmt: skip
+    for number, (ascension, declination) in corners.items():
+        cards += [f"S_RA{number}   = {ascension} / RA of corner [deg]",
+                  f"S_DEC{number}  = {declination} / DEC of corner [deg]"]  # fmt: skip
+    first = ["SIMPLE  =                    T", "BITPIX  = 8", "NAXIS   = 0", "EXTEND  = T"]
+    headers = [
+        "".join(card.ljust(80) for card in [*unit, "END"]).encode() for unit in (first, cards)
+    ]
+    blocks = b"".join(header.ljust(-(-len(header) // 2880) * 2880) for header in headers)
+    (tmp_path / "a.fit").write_bytes(blocks + bytes(2 * 1024**2))
+    import_folder([tmp_path / "a.fit"], tmp_path / "out")
+    (frame,) = read_folder(tmp_path / "out").frames
+    assert (frame.problem, frame.position_m) == (None, None)
+    camera = load_camera(Path(__file__).parents[3] / "configs/cameras/hayabusa2_onc_w2.toml")
+    ray = camera.unproject(np.array([567.5, 774.5]))
+    seen = camera_from_inertial(frame, "earth").inv().apply(ray)
+    ascension, declination = np.radians([74.563, -33.810])
+    earth = [np.cos(declination) * np.cos(ascension), np.cos(declination) * np.sin(ascension),
+             np.sin(declination)]  # fmt: skip
+    seen /= np.linalg.norm(seen)
+    assert np.degrees(np.arccos(seen @ earth)) < 0.2
+
+
+OSIRIS_REX = """<?xml version="1.0" encoding="UTF-8"?>
+<Product_Observational xmlns="http://pds.nasa.gov/pds4/pds/v1"
+ xmlns:geom="http://pds.nasa.gov/pds4/geom/v1" xmlns:orex="http://pds.nasa.gov/pds4/mission/orex/v1">
+<Observation_Area>
+<Time_Coordinates><start_date_time>2018-12-01T10:07:11.900Z</start_date_time></Time_Coordinates>
+<Target_Identification><name>(101955) BENNU</name></Target_Identification>
+<Mission_Area><orex:ocm_instrument_attributes><orex:camera_id>0</orex:camera_id>
+</orex:ocm_instrument_attributes></Mission_Area>
+<Discipline_Area><geom:Image_Display_Geometry><geom:Display_Direction>
+<geom:vertical_display_direction>Bottom to Top</geom:vertical_display_direction>
+</geom:Display_Direction><geom:Object_Orientation_RA_Dec>
+<geom:right_ascension_angle unit="deg">341.305276490202</geom:right_ascension_angle>
+<geom:declination_angle unit="deg">1.23413410647874</geom:declination_angle>
+<geom:celestial_north_clock_angle unit="deg">256.494372326072</geom:celestial_north_clock_angle>
+<geom:Reference_Frame_Identification><geom:name>J2000</geom:name>
+</geom:Reference_Frame_Identification></geom:Object_Orientation_RA_Dec>
+</geom:Image_Display_Geometry></Discipline_Area></Observation_Area></Product_Observational>
+"""
+
+
+def test_a_label_of_osiris_rex_has_the_attitude_of_its_cd_matrix(tmp_path: Path) -> None:
+    """The matrix, of pixels that count upwards, turns by columns to right ascension and north."""
+    (tmp_path / "a.xml").write_text(OSIRIS_REX)
+    picture = np.arange(1024, dtype=np.uint8)[:, None] + np.zeros((1, 1024), np.uint8)
+    with rasterio.open(tmp_path / "a.tif", "w", "GTiff", 1024, 1024, 1, dtype="uint8",
+                       transform=[1, 0, 5, 0, -1, 5]) as file:  # fmt: skip
+        file.write(picture, 1)
+    options = ImportOptions(pictures=(tmp_path / "a.tif",))
+    import_folder([tmp_path / "a.xml"], tmp_path / "out", options)
+    (frame,) = read_folder(tmp_path / "out").frames
+    assert (frame.problem, frame.camera) == (None, "osirisrex_mapcam")
+    inertial = camera_from_inertial(frame, "bennu").inv()
+    ascension, declination = np.radians([341.305276490202, 1.23413410647874])
+    east = np.array([-np.sin(ascension), np.cos(ascension), 0.0])
+    north = [-np.sin(declination) * np.cos(ascension), -np.sin(declination) * np.sin(ascension),
+             np.cos(declination)]  # fmt: skip
+    right, down = (inertial.apply(axis) for axis in np.eye(3)[:2])
+    matrix = np.array([[0.000905552827907964, -0.00377026754277099],
+                       [-0.00377026754277099, -0.000905552827907964]])  # fmt: skip
+    matrix /= np.sqrt(abs(np.linalg.det(matrix)))
+    found = np.array([[right @ east, -down @ east], [right @ north, -down @ north]])
+    np.testing.assert_allclose(found, matrix, atol=1e-6)

@@ -564,7 +564,7 @@ def test_lines_from_below_are_turned_where_the_table_says_so(tmp_path: Path) -> 
     """The label's own direction is heeded by line_order = "label"; else it makes a remark."""
     path = made_pds3(tmp_path, LINE_DISPLAY_DIRECTION="UP")
     stored = np.arange(10, 34).reshape(4, 6)
-    table = resource("configs/imports/pds3.toml").read_text()
+    table = resource("configs/imports/pds3.toml").read_text().replace('line_order = "label"', "")
     for number, (order, flipped) in enumerate(
         [("", False), ("top_first", False), ("bottom_first", True), ("label", True)]
     ):
