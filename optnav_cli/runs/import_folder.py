@@ -180,7 +180,8 @@ class _Importer:
             try:
                 self._add(source, own_picture)
             except DataError as error:
-                self._skipped.append(str(error))
+                row = f"{path}, {source.file}: " if source.file not in str(error) else ""
+                self._skipped.append(f"{row}{error}")
 
     def _add(self, source: _Source, own_picture: Path | None) -> None:
         where, table = self._table(source)

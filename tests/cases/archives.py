@@ -192,7 +192,7 @@ def cases(archives: Path) -> dict[str, Callable[[Path], Outcome]]:
             (archives / "near_msi_square/m0157063318f4_2p_iof_gbl.fit",),
         ),
         "near/msi_square.lbl": (
-            (is_far(36.4, 5e-3),),
+            (points_to(282.8846290083658, -22.18670161032236, 0.2),),
             (archives / "near_msi_square/m0157063318f4_2p_iof_gbl.lbl",),
         ),
         "messenger/mdis.lbl": (
