@@ -17,7 +17,7 @@ from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.keywords import check_keywords
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.isis_keywords import KEYWORDS, Label, Stated, plain_value
+from optnav_cli.frames.isis_keywords import KEYWORDS, Label, Stated, plain_value, reported_keywords
 from optnav_cli.frames.isis_lens import with_lens
 
 MM_BY_M = 1e3
@@ -62,7 +62,7 @@ def read_cube_camera(path: Path, label: Label, body_isis: FloatArray) -> CubeCam
         return None
     stated = Stated(path, naif, instrument, _codes(cube))
     columns, rows = _full_size(path, cube)
-    notes: list[str] = []
+    notes = reported_keywords(naif)
     plane = _focal_plane(stated)
     matrix, upside_down, camera_from_isis = _orient(path, plane[:, 1:], body_isis)
     pitch_mm = np.linalg.norm(matrix, axis=0)

@@ -42,6 +42,10 @@ KEYWORDS = {
     "PP": Keyword("reported", _UNUSED),
     "RAD_DIST_COEFF": Keyword("reported", _UNUSED),
     "OD_CENTER": Keyword("reported", _UNUSED),
+    "OD_K_": Keyword("reported", _UNUSED),
+    "LIGHTTIME_CORRECTION": Keyword(
+        "reported", "light time is left out of its tables", ("LT", "LT+S", "CN", "CN+S")
+    ),
     "DISTORTION_COEF_X": Keyword("reported", _UNUSED),
     "DISTORTION_COEF_Y": Keyword("reported", _UNUSED),
     "Summing": Keyword("used", "detector's pixels by those of the picture"),
@@ -92,6 +96,20 @@ class Stated:
         if numbers.shape != (count,) or not (np.abs(numbers) < 1e12).all():
             raise DataError(f"{self.path}: INSn_{name} is {stated[0]}; wanted {count} numbers")
         return numbers
+
+
+def reported_keywords(naif: Label) -> list[str]:
+    """Say which keywords of an instrument kernel are not used, a line for each reason."""
+    by_reason: dict[str, list[str]] = {}
+    for key, value in naif.items():
+        name = key.partition("_")[2]
+        by_filter = [start for start in ("OD_CENTER", "OD_K_") if name.startswith(start)]
+        keyword = KEYWORDS.get(name) or KEYWORDS.get("".join(by_filter))
+        if keyword is None or keyword.fate != "reported" or not key.startswith("INS"):
+            continue
+        if str(value).upper() not in keyword.allowed:
+            by_reason.setdefault(keyword.why, []).append(f"{key} = {value}")
+    return [f"the effect of {', '.join(keys)}: {why}" for why, keys in by_reason.items()]
 
 
 def _is_key(key: str, name: str) -> bool:

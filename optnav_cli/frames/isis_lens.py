@@ -12,7 +12,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.isis_keywords import KEYWORDS, Stated, plain_value
+from optnav_cli.frames.isis_keywords import Stated, plain_value
 
 MAX_DISTORTION = 0.2  # of the distance of the corners from the axis
 MAX_FIT_PX = 0.05  # error of a fitted lens that nobody needs to know
@@ -40,14 +40,7 @@ def with_lens(
         return _with_opencv(stated, camera, np.concatenate([p for p in opencv if p is not None]),
                             upside_down, summing)  # fmt: skip
     undistort = _lens_model(stated)
-    for key in stated.naif:
-        name = key.partition("_")[2]
-        keyword = KEYWORDS.get(name) or KEYWORDS.get("OD_CENTER" if "OD_CENTER" in name else "")
-        if keyword is not None and keyword.fate == "reported" and key.startswith("INS"):
-            notes.append(f"the effect of {key} = {stated.naif[key]}: {keyword.why}")
     if undistort is None:
-        if any("_OD_K_" in key for key in stated.naif):
-            notes.append("the effect of the lens (OD_K by filter): it is left out")
         return camera
     fitted, worst_px = _fit_lens(camera, focal_mm, turn, undistort)
     if worst_px > MAX_FIT_PX:

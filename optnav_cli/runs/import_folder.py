@@ -484,7 +484,8 @@ def _is_flipped(source: _Source, table: ImportTable, upside_down: bool) -> tuple
     upside_down  whether a cube's own camera has its lines from below
     """
     if upside_down:
-        return True, []
+        note = "by TRANSX and TRANSY its lines run from the bottom up: its rows are turned over"
+        return True, [f"{source.path.name}: {note}"]
     stated = is_bottom_first(source.text)
     if table.line_order == "label":
         return stated, []

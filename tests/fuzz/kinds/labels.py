@@ -4,6 +4,7 @@ from random import Random
 
 from tests.fuzz.cases import DATA, OK, Case, Place, kind
 from tests.fuzz.damage import damaged
+from tests.optnav_cli.frames.made_cubes import CODE, Cube, write_cube
 
 OPEN = frozenset({OK, DATA})
 SIDE_PX = 8
@@ -136,3 +137,22 @@ def label_in_words(place: Place) -> Case:
     time = rng.choice(TIMES if is_right else WRONG_TIMES)
     label = _pds3(UNITS, {**VALUES, "TIME": f"'{time}'"}, rng)
     return _case(place, label, is_fits=False, right=OK if is_right else DATA, note=time)
+
+
+@kind("import-cube", 1.0)
+def damaged_cube(place: Place) -> Case:
+    """An ISIS cube whose label, tables or picture are damaged."""
+    rng = place.rng
+    turns = rng.choice(
+        (((1.0, 0.0), (0.0, 1.0)), ((1.0, 0.0), (0.0, -1.0)), ((0.0, 1.0), (1.0, 0.0)))
+    )
+    lens = rng.choice(({}, {f"INS{CODE}_K1": "-0.002"}, {f"INS{CODE}_OD_K": "(0.0, 0.001, 0.0)"}))
+    path = write_cube(place.folder / "a.cub", Cube(turns, naif=lens))
+    data = path.read_bytes()
+    head, rest = data[:65536].rstrip(b"\0"), data[65536:]
+    if rng.random() < 0.7:
+        head, note = damaged(head, rng)
+    else:
+        rest, note = damaged(rest, rng)
+    path.write_bytes(head[:65536].ljust(65536, b"\0") + rest)
+    return Case(("-q", "import", "a.cub", "-o", "new"), OPEN, "new", note=note)
