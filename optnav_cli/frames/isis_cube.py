@@ -32,6 +32,7 @@ from catalog.rasters import open_raster, reading_raster
 Label = dict[str, Any]  # a block: values, lists of values, and blocks, by name
 
 MAX_NUMBER = 1e15  # of km, of seconds
+MIN_SUN_KM = 1e6
 MAX_RECORDS = 100_000
 UTC_SECONDS_SINCE = -8.8e8  # TDB s of 1972, to some days: since then UTC is whole seconds from TAI
 SAME_S = 5e-4  # half of the last digit of times in frames.csv
@@ -91,6 +92,8 @@ def read_cube_pose(path: str | Path) -> CubePose:
         isis_from_inertial = _rotation(_read_table(path, label, "InstrumentPointing"), tdb_s)
         position, velocity = _states(positions, tdb_s)
         sun, _ = _states(_read_table(path, label, "SunPosition"), tdb_s)
+        if not np.linalg.norm(sun) > MIN_SUN_KM:
+            raise DataError("its table SunPosition has the Sun inside the body")
     except DataError as error:
         raise DataError(
             f"{path}: {error}; run spiceinit on the cube and attach its tables"

@@ -305,6 +305,12 @@ def test_a_camera_that_looks_away_is_told(tmp_path: Path) -> None:
     assert "mend the sign of the position vector" in line
 
 
+def test_a_sun_of_zeros_is_refused(tmp_path: Path) -> None:
+    sun = dict.fromkeys(standard_tables(Cube())["SunPosition"][0], 0.0)
+    with pytest.raises(DataError, match="has the Sun inside the body"):
+        imported(tmp_path, Cube(tables={"SunPosition": [sun]}))
+
+
 def test_tables_of_another_picture_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="after its StartTime"):
         imported(tmp_path, Cube(instrument={"StartTime": "2009-01-20T13:00:00"}))
