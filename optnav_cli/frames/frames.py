@@ -25,6 +25,7 @@ UNIT_TOLERANCE = 0.01
 # attitude is exact. Squares and inverses of numbers far beyond them overflow.
 MAX_DISTANCE_M = 1e12
 MIN_ATTITUDE_ARCSEC, MAX_ATTITUDE_ARCSEC = 1e-6, 180.0 * 3600.0
+MAX_TIME_SIGMA_S = 3600.0
 MAX_NAME_BYTES = 255  # of a file or folder, on all common systems
 
 
@@ -135,6 +136,11 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: Mapping[str, Camera]) -
         )
     except DataError as error:
         return Frame(file=file, utc=utc, camera=camera, problem=str(error))
+
+
+def time_sigma(row: CsvRow) -> float | None:
+    """1 sigma of a row's time, s; None where it states none. Raises DataError."""
+    return _sigma(row, "utc_sigma_s", 0.0, MAX_TIME_SIGMA_S)
 
 
 def picture_path(folder: Path, file: str) -> Path:

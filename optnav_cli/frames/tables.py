@@ -4,6 +4,8 @@ Lengths are written to 0.1 mm; 12 decimals of a quaternion are 0.4 microarcsecon
 form writes what rounds to zero without a sign.
 """
 
+from dataclasses import replace
+
 from catalog.tables import CsvColumn, CsvTable
 
 POSITION = ("x_m", "y_m", "z_m")
@@ -58,6 +60,8 @@ REASON_CODE = CsvColumn(
     "reason_code", "the code of that reason, for programs", "text", empty=True, newer=True
 )
 
+# Of frames.csv and solution.csv, where people add it.
+UTC_SIGMA = replace(number("utc_sigma_s", "1 sigma of utc", "s", ".6g"), newer=True)
 TO_SUN = "unit vector to the Sun, body frame"
 FRAMES = CsvTable(
     (

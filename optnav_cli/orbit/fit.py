@@ -21,6 +21,12 @@ from optnav_cli.orbit.first import first_orbit
 from optnav_cli.orbit.missing_forces import check_pattern, mending
 from optnav_cli.orbit.problem import OrbitProblem, Trajectory
 from optnav_cli.orbit.settings import PRIOR_SIGMAS, NoiseModel
+from optnav_cli.orbit.time_errors import (
+    are_whole_seconds,
+    lie_within_half_a_second,
+    with_time_errors,
+    with_whole_seconds,
+)
 from optnav_cli.orbit.verdict import MEDIAN_OF_3, FitVerdict
 
 MAX_STEPS, MAX_ROUNDS = 30, 40
@@ -145,12 +151,38 @@ class OrbitSolver:
 
 def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -> OrbitFit:
     """Fit. Raises NoSolutionError where the fixes fit no orbit, with the test that says so."""
+    try:
+        return _fitted(problem, model, gate_probability)
+    except NoSolutionError as error:
+        if _fit_whole_seconds(problem, model, gate_probability):
+            raise NoSolutionError(
+                f"perhaps whole seconds: all stamps are of such, the residuals lie along the "
+                f"motion within half a second of it, and with [fixes] time_sigma_s = 0.29 an orbit "
+                f"fits; state that, or utc_sigma_s in frames.csv ({error})"
+            ) from error
+        raise
+
+
+def _fit_whole_seconds(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -> bool:
+    """Tell whether fixes that fit no orbit do with times of whole seconds, and look like these."""
+    if len(problem.fixes) < MIN_FIXES or not are_whole_seconds(problem.fixes):
+        return False
+    try:
+        fit = _fitted(with_whole_seconds(problem), model, gate_probability)
+    except NoSolutionError:
+        return False
+    residuals = np.array([one.residual_m for one in fit.residuals])
+    return lie_within_half_a_second(fit.problem, fit.trajectory, residuals)
+
+
+def _fitted(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -> OrbitFit:
     if len(problem.fixes) < MIN_FIXES and not problem.priors:
         raise NoSolutionError(
             f"too few fixes: {len(problem.fixes)} leave the orbit open; wanted {MIN_FIXES} or "
             "more, or a [[prior]]"
         )
     _check_gaps(problem)
+    problem = with_time_errors(problem, lambda rough: _start(rough, OrbitSolver(rough, model))[0])
     solver = OrbitSolver(problem, model)
     at, weights = _start(problem, solver)
     at, found = solver.settle(at, np.ones(len(weights)))
@@ -270,7 +302,7 @@ def _residuals(
     for number, fix in enumerate(problem.fixes):
         residual, design, _ = problem.measure(number, at)
         node = problem.node_of[number]
-        moved, white = problem.shared.split(number, fix.covariance_m2)
+        moved, white = problem.split(number)
         design = np.concatenate([design, moved], axis=1)
         spread = design @ found.covariances[node] @ design.T
         own = white - spread if used[number] else white + spread

@@ -35,6 +35,8 @@ class OrbitFix:
     """A solved frame: its place (3,), m, body-fixed as files state it, and covariance (3, 3).
 
     method   that solved it; empty: its error is like no other's
+    time_sigma_s  1 sigma of its time; None: not stated
+    timing_m2     (3, 3) what that adds to its covariance
     sight_m  (3,) from the ground in the middle of its picture to the craft; None: straight up
     """
 
@@ -47,6 +49,13 @@ class OrbitFix:
     covariance_m2: FloatArray
     method: str = ""
     sight_m: FloatArray | None = None
+    time_sigma_s: float | None = None
+    timing_m2: FloatArray | None = None
+
+    @property
+    def sighted_m2(self) -> FloatArray:
+        """Covariance (3, 3) without that of the time, which no other fix shares."""
+        return self.covariance_m2 if self.timing_m2 is None else self.covariance_m2 - self.timing_m2
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +171,7 @@ class OrbitProblem:
 
         places = np.array([fix.position_m for fix in self.fixes]).reshape(-1, 3)
         stamps = np.array([fix.tdb_s for fix in self.fixes])
-        covariances = np.array([fix.covariance_m2 for fix in self.fixes]).reshape(-1, 3, 3)
+        covariances = np.array([fix.sighted_m2 for fix in self.fixes]).reshape(-1, 3, 3)
         methods = [fix.method for fix in self.fixes]
         self.shared = shared_errors(
             places, covariances, stamps, methods, self.radius_m, self.shared_sizes
@@ -249,6 +258,12 @@ class OrbitProblem:
                 of_considered[:, p.span] = derivative
         return fix.position_m - place, design, of_considered
 
+    def split(self, number: int) -> tuple[FloatArray, FloatArray]:
+        """(3, q) by which a fix moves with what near ones have in common, and (3, 3) its own."""
+        fix = self.fixes[number]
+        moved, own = self.shared.split(number, fix.sighted_m2)
+        return moved, own if fix.timing_m2 is None else own + fix.timing_m2
+
     def left_over(self, at: Trajectory, weights: FloatArray) -> float:
         """Of chi-square: what the measurements of a linear arc say no more about."""
         return 0.0
@@ -262,9 +277,8 @@ class OrbitProblem:
         """
         rows, numbers = [], np.flatnonzero(used)
         for number in numbers:
-            fix, node = self.fixes[number], self.node_of[number]
-            residual = self.measure(int(number), at)[0]
-            moved, own = self.shared.split(int(number), fix.covariance_m2)
+            node, residual = self.node_of[number], self.measure(int(number), at)[0]
+            moved, own = self.split(int(number))
             residual = residual - moved @ found.deviations[node, self.width :, 0]
             axes = rnb_of(at.states[node]) @ self.turn(int(number)).T
             root = np.linalg.cholesky(axes @ own @ axes.T)
@@ -374,7 +388,7 @@ class OrbitProblem:
     ) -> NodeMeasurement:
         residual, design, of_considered = self.measure(number, at)
         node = self.node_of[number]
-        moved, own = self.shared.split(number, self.fixes[number].covariance_m2)
+        moved, own = self.split(number)
         design = np.concatenate([design, moved], axis=1)
         more = design @ paths[node] + of_considered
         columns = np.concatenate([residual[:, None], more], axis=1)

@@ -61,6 +61,16 @@ class NoiseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     density_m2_s3: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
 
 
+class FixesSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[fixes]: what is common to them.
+
+    time_sigma_s  1 sigma of their times, where frames.csv states no utc_sigma_s: 0.29 of stamps of
+                  whole seconds
+    """
+
+    time_sigma_s: Annotated[float, Meta(ge=0.0, le=3600.0)] = 0.0
+
+
 class ParameterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[[parameter]]: a number common to fixes, or to the arc.
 
@@ -138,6 +148,7 @@ class OrbitFitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     gate_probability: Annotated[float, Meta(gt=0.0, lt=0.1)] = 1e-5
     forces: ForcesSettings = ForcesSettings()
     noise: NoiseSettings = NoiseSettings()
+    fixes: FixesSettings = FixesSettings()
     parameter: tuple[ParameterSettings, ...] = ()
     prior: tuple[OrbitPriorSettings, ...] = ()
     spice: SpiceSettings = SpiceSettings()

@@ -7,7 +7,7 @@ import math
 import shutil
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from catalog.tables import CsvTable
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.fix import MatchRow, Method, Solution
+from optnav_cli.frames.frames import time_sigma
 from optnav_cli.frames.picked_points import POINTS_CSV
 from optnav_cli.frames.run_settings import (
     RUN_TOML,
@@ -26,7 +27,7 @@ from optnav_cli.frames.run_settings import (
     read_run_settings,
     write_run_settings,
 )
-from optnav_cli.frames.tables import CAMERA, FILE
+from optnav_cli.frames.tables import CAMERA, FILE, UTC_SIGMA
 from optnav_cli.output.tables import read_matches, read_solutions
 from optnav_cli.output.wording import length_unit, plural, table_lines
 
@@ -38,7 +39,10 @@ FRAMES, CAMERAS = "frames.csv", "cameras"  # copies of the picture folder's
 
 @dataclass(frozen=True, eq=False)
 class RunFolder:
-    """What a run folder holds; `cameras` by picture file name, as far as they are known."""
+    """What a run folder holds; `cameras` by picture file name, as far as they are known.
+
+    time_sigmas_s  1 sigma of times, by picture file name, where one is stated
+    """
 
     path: Path
     settings: RunSettings
@@ -46,6 +50,7 @@ class RunFolder:
     solutions: list[Solution]
     matches: list[MatchRow]
     cameras: dict[str, Camera]
+    time_sigmas_s: dict[str, float] = field(default_factory=dict)
 
 
 def copy_inputs(pictures: Path, settings: RunSettings, run: Path) -> None:
@@ -74,7 +79,25 @@ def read_run(path: Path) -> RunFolder:
     attitude = FileAttitude(settings.attitude, body)
     matches = read_matches(path / MATCHES) if (path / MATCHES).exists() else []
     solutions = read_solutions(path / SOLUTION, attitude)
-    return RunFolder(path, settings, attitude, solutions, matches, _cameras(path))
+    return RunFolder(
+        path, settings, attitude, solutions, matches, _cameras(path), _time_sigmas(path)
+    )
+
+
+def _time_sigmas(path: Path) -> dict[str, float]:
+    """1 sigma of each frame's time by solution.csv, else by the copy of frames.csv."""
+    found: dict[str, float] = {}
+    table = CsvTable((FILE, UTC_SIGMA))
+    for name in (FRAMES, SOLUTION):
+        if (path / name).exists():
+            for row in table.rows(path / name):
+                try:
+                    sigma = None if row.problem else time_sigma(row)
+                except DataError as error:
+                    raise DataError(f"{row.where}: {error}") from None
+                if sigma is not None:
+                    found[row["file"]] = sigma
+    return found
 
 
 def _cameras(path: Path) -> dict[str, Camera]:

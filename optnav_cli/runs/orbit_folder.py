@@ -93,6 +93,7 @@ def fit_runs(
         ephemeris = motion_of(found.body, [Path(name) for name in kernels])
         warn_of_unknown_gravity(found.body, settings.forces)
         priors = orbit_priors(settings.prior, ephemeris, beside, _ends(found.fixes))
+        found = _with_times(found, settings.fixes.time_sigma_s)
         settings = _with_whole_paths(settings, beside)
         settings = with_solved(settings, solve, found.fixes, priors)
         cameras = [camera for _, camera in found.rows]
@@ -192,7 +193,9 @@ def read_fixes(runs: Sequence[RunFolder], *, lens: bool = False) -> RunFixes:
             row = replace(solution, file=name)
             rows.append((row, camera))
             if solution.solved and solution.method != Method.ORBIT:
-                fixes.append(_fix(row, run, camera.name if camera else "", where))
+                fix = _fix(row, run, camera.name if camera else "", where)
+                sigma = run.time_sigmas_s.get(solution.file)
+                fixes.append(replace(fix, time_sigma_s=sigma))
     if not fixes:
         raise NothingToDoError(
             f"{', '.join(str(run.path) for run in runs)}: no frame is solved, so there is nothing "
@@ -231,6 +234,15 @@ def _fix(solution: Solution, run: RunFolder, camera: str, where: str) -> OrbitFi
         sight = frame.stated_direction(sight)
     method = str(solution.method)
     return OrbitFix(solution.file, solution.utc, time, name, camera, place, stated, method, sight)
+
+
+def _with_times(found: RunFixes, sigma_s: float) -> RunFixes:
+    """The fixes with the common error of their times where none of theirs is stated."""
+    fixes = [
+        replace(fix, time_sigma_s=sigma_s if fix.time_sigma_s is None else fix.time_sigma_s)
+        for fix in found.fixes
+    ]
+    return replace(found, fixes=fixes)
 
 
 def _kernels(runs: Sequence[RunFolder], settings: OrbitFitSettings, beside: Path) -> list[str]:
