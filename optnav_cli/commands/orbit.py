@@ -149,8 +149,13 @@ def export(orbit: Path, craft: int, output: Path) -> None:
 @command.command("time", short_help="When pictures were taken, from a known orbit.")
 @path_argument("run")
 @click.option(
-    "--orbit", type=PATH, required=True, help="Folder of `optnav orbit fit` with the known orbit."
+    "--orbit",
+    type=PATH,
+    required=True,
+    help="The known orbit: a folder of `optnav orbit fit`, a CCSDS OEM, a SPICE .bsp, or a file "
+    "with the two lines of a TLE.",
 )
+@CRAFT
 @click.option(
     "--margin",
     "margin_s",
@@ -160,21 +165,24 @@ def export(orbit: Path, craft: int, output: Path) -> None:
     help="Seconds before and after the orbit's arc and the stamps that are searched as well.",
 )
 @output_option("CSV file for the times.", (".csv",))
-def time(run: Path, orbit: Path, margin_s: float, output: Path) -> None:
+def time(run: Path, orbit: Path, craft: int, margin_s: float, output: Path) -> None:
     """Tell when the solved pictures of RUN were taken, from where they were and a known orbit.
 
     OUTPUT gets a row a picture: its stamp, the time at which the orbit passes its position nearest
     to the stamp, the sigma of that, and all passes within 3 sigmas. Sigmas take the orbit for one
-    that these pictures had no part in. Ends with exit code 4 when the orbit passes no position.
+    that these pictures had no part in. A .bsp needs the extra spice, a TLE the extra tle; a picture
+    without a time is sought over all of the orbit. Ends with exit code 4 when the orbit passes no
+    position.
 
     \b
     Example:
       optnav orbit time run --orbit orbit -o times.csv
+      optnav orbit time run --orbit craft.oem -o times.csv
     """
     from optnav_cli.runs.orbit_files import time_pictures
 
     announce_compilation()
-    tell(time_pictures(run, orbit, output, margin_s))
+    tell(time_pictures(run, orbit, output, margin_s, craft))
     click.echo(output)
 
 

@@ -8,6 +8,7 @@ is wide, so every pass is listed.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -25,6 +26,49 @@ STEP_RAD = 0.05  # between places of the path: between them it is known to 3 cm 
 PASS_GATE = float(chdtri(2, 0.0027))  # 3 sigmas
 NEWTON_STEPS = 8
 MAX_PLACES = 400_000
+
+
+class KnownPath(Protocol):
+    """An orbit that is known, body-fixed; note: what people should know of it."""
+
+    note: str
+
+    def spans(self, stamps: FloatArray, margin_s: float) -> Sequence[tuple[float, float]]:
+        """Spans of time to search, TDB s; stamps (n,) of the pictures, NaN where unknown."""
+
+    def radian_s(self) -> float:
+        """How long the motion takes for a radian, s."""
+
+    def fixed(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Body-fixed states (n, 6), m and m/s, and covariances (n, 3, 3) of their places."""
+
+
+class FittedPath:
+    """The orbit of a folder of `orbit fit`, with predictions before and after its arc."""
+
+    note = ""
+
+    def __init__(self, path: OrbitPath) -> None:
+        self._path = path
+
+    def spans(self, stamps: FloatArray, margin_s: float) -> Sequence[tuple[float, float]]:
+        """The arc and the stamps, with the margin."""
+        known = stamps[np.isfinite(stamps)]
+        first, last = min(self._path.first_s, *known), max(self._path.last_s, *known)
+        return [(first - margin_s, last + margin_s)]
+
+    def radian_s(self) -> float:
+        """How long the path takes for a radian at the last fix, s."""
+        return self._path.radian_s()
+
+    def fixed(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """States (n, 6) and covariances (n, 3, 3); fewer where the path meets the body."""
+        rows = self._path.rows(times).rows
+        motion = self._path.orbit.ephemeris
+        pairs = zip(rows.times, rows.states, strict=True)
+        fixed = np.array([body_fixed_state(motion, float(t), state) for t, state in pairs])
+        turns = np.array([stated_turn(motion, float(t)) for t in rows.times])
+        return fixed, turns @ rows.covariances[:, :3, :3] @ turns.transpose(0, 2, 1)
 
 
 @dataclass(frozen=True)
@@ -45,9 +89,13 @@ class PictureTime:
 
     @property
     def best(self) -> Pass | None:
-        """The pass nearest to the stamp; None without one."""
-        nearest = sorted(self.passes, key=lambda one: abs(one.tdb_s - self.fix.tdb_s))
-        return nearest[0] if nearest else None
+        """The pass nearest to the stamp, without a stamp that of the best fit; None without one."""
+
+        def rank(one: Pass) -> float:
+            stamped = np.isfinite(self.fix.tdb_s)
+            return abs(one.tdb_s - self.fix.tdb_s) if stamped else one.chi_square
+
+        return min(self.passes, key=rank, default=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,22 +108,24 @@ class _Track:
     covariances: FloatArray
 
 
-def picture_times(path: OrbitPath, fixes: Sequence[OrbitFix], margin_s: float) -> list[PictureTime]:
+def picture_times(
+    known: KnownPath | OrbitPath, fixes: Sequence[OrbitFix], margin_s: float
+) -> list[PictureTime]:
     """When pictures with these fixes were taken.
 
     margin_s  so much before and after the arc and the stamps is searched as well
-    Raises DataError for a search of more than MAX_PLACES, and as `OrbitPath.rows` does.
+    Raises DataError for a search of more than MAX_PLACES, and as the path does.
     """
-    stamps = [fix.tdb_s for fix in fixes]
-    track = _track(
-        path,
-        min(path.first_s, *stamps) - margin_s,
-        max(path.last_s, *stamps) + margin_s,
-    )
-    return [PictureTime(fix, tuple(_passes(track, fix))) for fix in fixes]
+    path = FittedPath(known) if isinstance(known, OrbitPath) else known
+    stamps = np.array([fix.tdb_s for fix in fixes])
+    tracks = [_track(path, *span) for span in path.spans(stamps, margin_s)]
+    return [
+        PictureTime(fix, tuple(one for track in tracks for one in _passes(track, fix)))
+        for fix in fixes
+    ]
 
 
-def _track(path: OrbitPath, first_s: float, last_s: float) -> _Track:
+def _track(path: KnownPath, first_s: float, last_s: float) -> _Track:
     step = STEP_RAD * path.radian_s()
     count = int(np.ceil((last_s - first_s) / step)) + 1
     if count > MAX_PLACES:
@@ -83,14 +133,11 @@ def _track(path: OrbitPath, first_s: float, last_s: float) -> _Track:
             f"the orbit and the stamps of the pictures are {(last_s - first_s) / DAY_S:.0f} days "
             "long, too much to search; name an orbit of the time of the pictures"
         )
-    rows = path.rows(np.linspace(first_s, last_s, max(count, 2))).rows
-    motion = path.orbit.ephemeris
-    pairs = zip(rows.times, rows.states, strict=True)
-    fixed = np.array([body_fixed_state(motion, float(t), state) for t, state in pairs])
-    turns = np.array([stated_turn(motion, float(t)) for t in rows.times])
-    spreads = turns @ rows.covariances[:, :3, :3] @ turns.transpose(0, 2, 1)
-    spline = CubicHermiteSpline(rows.times, fixed[:, :3], fixed[:, 3:])
-    return _Track(rows.times, spline, np.linalg.norm(fixed[:, 3:], axis=1), spreads)
+    times = np.linspace(first_s, last_s, max(count, 2))
+    fixed, spreads = path.fixed(times)
+    times = times[: len(fixed)]
+    spline = CubicHermiteSpline(times, fixed[:, :3], fixed[:, 3:])
+    return _Track(times, spline, np.linalg.norm(fixed[:, 3:], axis=1), spreads)
 
 
 def _passes(track: _Track, fix: OrbitFix) -> Iterator[Pass]:

@@ -21,6 +21,7 @@ from optnav_cli.orbit.folder import (
     stated_turn,
     write_orbit_rows,
 )
+from optnav_cli.orbit.known_orbit import known_orbit
 from optnav_cli.orbit.oem import BEGINNING, Oem, write_oem
 from optnav_cli.orbit.picture_times import PictureTime, picture_times
 from optnav_cli.orbit.predict import OrbitPath, Prediction
@@ -132,33 +133,30 @@ def export_orbit(folder: Path, output: Path, craft: int) -> None:
         write_orbit(orbit, orbit.rows, output, craft)
 
 
-def time_pictures(run: Path, folder: Path, output: Path, margin_s: float) -> list[str]:
+def time_pictures(run: Path, folder: Path, output: Path, margin_s: float, craft: int) -> list[str]:
     """Write when the solved pictures of a run were taken; lines for people.
 
     Raises DataError for a run about another body, NothingToDoError where the orbit passes none.
     """
-    path = OrbitPath(read_orbit(folder))
-    warn_of_unknown_gravity(path.orbit.body, path.orbit.forces)
-    found = read_fixes([read_run(run)])
-    if found.body.name != path.orbit.body.name:
-        raise DataError(
-            f"{run}: its fixes are about {found.body.name}, the orbit about "
-            f"{path.orbit.body.name}; name an orbit about the same body"
-        )
+    found = read_fixes([read_run(run)], timeless=True)
+    path = known_orbit(folder, found.body, craft)
+    if path.note:
+        log.info("%s", path.note)
     timed = picture_times(path, found.fixes, margin_s)
     with replacing_file(output, starts_with(b"file,utc_stamp,utc,")) as new:
         PICTURE_TIMES.write(new, map(_time_cells, timed))
-    offsets = [one.best.tdb_s - one.fix.tdb_s for one in timed if one.best is not None]
-    if not offsets:
+    best = [(one.best.tdb_s, one.fix.tdb_s) for one in timed if one.best is not None]
+    offsets = [time - stamp for time, stamp in best if np.isfinite(stamp)]
+    if not best:
         raise NothingToDoError(
             f"{run}: {folder} passes none of its {len(timed)} positions within 3 sigmas; see that "
             "it is of the same flight, or search farther by --margin"
         )
     several = sum(len(one.passes) > 1 for one in timed)
-    return [
-        f"{len(offsets)} of {len(timed)} pictures lie on the orbit; {several} at several times",
-        f"median of time less stamp: {np.median(offsets):+.6f} s",
-    ]
+    lines = [f"{len(best)} of {len(timed)} pictures lie on the orbit; {several} at several times"]
+    if offsets:
+        lines.append(f"median of time less stamp: {np.median(offsets):+.6f} s")
+    return lines
 
 
 def _time_cells(timed: PictureTime) -> dict[str, object]:

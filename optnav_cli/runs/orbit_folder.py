@@ -1,6 +1,7 @@
 """Runs to an orbit and its folder, as `optnav orbit fit` does."""
 
 import logging
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -163,8 +164,12 @@ def problem_of(
     return OrbitProblem(motion, found.fixes, priors, parameters, found.body.radius_m)
 
 
-def read_fixes(runs: Sequence[RunFolder], *, lens: bool = False) -> RunFixes:
+def read_fixes(
+    runs: Sequence[RunFolder], *, lens: bool = False, timeless: bool = False
+) -> RunFixes:
     """The solved frames of runs; lens: without what is stated of the focal lengths.
+
+    timeless  whether a row may have no time: its fix then is of NaN TDB s
 
     Raises DataError for runs of several bodies or damaged fixes.
     """
@@ -193,6 +198,10 @@ def read_fixes(runs: Sequence[RunFolder], *, lens: bool = False) -> RunFixes:
             row = replace(solution, file=name)
             rows.append((row, camera))
             if solution.solved and solution.method != Method.ORBIT:
+                if not row.utc and not timeless:
+                    raise DataError(
+                        f"{where}: has no utc; `optnav orbit time` finds it by an orbit"
+                    )
                 fix = _fix(row, run, camera.name if camera else "", where)
                 sigma = run.time_sigmas_s.get(solution.file)
                 fixes.append(replace(fix, time_sigma_s=sigma))
@@ -223,7 +232,7 @@ def _fix(solution: Solution, run: RunFolder, camera: str, where: str) -> OrbitFi
             "the right body, or navigate again"
         )
     try:
-        time = utc_to_tdb_s(solution.utc)
+        time = math.nan if not solution.utc else utc_to_tdb_s(solution.utc)
     except DataError as error:
         raise DataError(f"{where}: {error}") from None
     name = run.path.resolve().name
