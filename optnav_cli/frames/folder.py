@@ -63,11 +63,12 @@ def read_folder(path: str | Path, kernels: Sequence[Path] = ()) -> Folder:
     settings, body = read_run_settings(path / "run.toml")
     attitude = FileAttitude(settings.attitude, body, motion_of(body, kernels))
     cameras = read_cameras(path / "cameras")
-    frames = read_frames(path / "frames.csv", attitude, cameras)
+    picked = (path / POINTS_CSV).exists()  # then nothing else solves its frames
+    frames = read_frames(path / "frames.csv", attitude, cameras, timeless=picked)
     if settings.inertial:
         _check_track(path / "frames.csv", frames)
     points = None
-    if (path / POINTS_CSV).exists():
+    if picked:
         files = [frame.file for frame in frames]
         try:
             settings.points.check(body)

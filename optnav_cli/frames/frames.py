@@ -68,10 +68,18 @@ class Frame:
         return None if sigma is None else math.sqrt(max(sigma**2 - self.common_sigma_rad**2, 0.0))
 
 
-def read_frames(path: Path, attitude: FileAttitude, cameras: Mapping[str, Camera]) -> list[Frame]:
+def read_frames(
+    path: Path,
+    attitude: FileAttitude,
+    cameras: Mapping[str, Camera],
+    *,
+    timeless: bool = False,
+) -> list[Frame]:
     """Frames of a frames.csv in its order; stated attitudes are turned by the camera's boresight.
 
     cameras  by name
+    timeless  whether a row may have no utc, as of picked points, where no attitude is against the
+              stars; it then has no tdb_s, and no Sun by its time
 
     What is wrong with one row becomes that frame's problem, so that the others go on.
     Raises DataError for what is wrong with the file: it cannot be read, lacks a column, has no
@@ -88,7 +96,7 @@ def read_frames(path: Path, attitude: FileAttitude, cameras: Mapping[str, Camera
                 f"{path}: '{name}' stands in rows {first[name]} and {number}; "
                 "give each picture one row"
             )
-    return [_frame(row, attitude, cameras) for row in rows]
+    return [_frame(row, attitude, cameras, timeless) for row in rows]
 
 
 def write_frames(
@@ -98,7 +106,9 @@ def write_frames(
     FRAMES.write(path, (_cells(frame, attitude, cameras) for frame in frames))
 
 
-def _frame(row: CsvRow, attitude: FileAttitude, cameras: Mapping[str, Camera]) -> Frame:
+def _frame(
+    row: CsvRow, attitude: FileAttitude, cameras: Mapping[str, Camera], timeless: bool
+) -> Frame:
     file, utc, camera = row["file"], row["utc"], row["camera"]
     try:
         if row.problem:
@@ -109,19 +119,20 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: Mapping[str, Camera]) -
             near = nearest_name(camera, known)
             hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
             raise DataError(f"camera '{camera}' has no file in cameras/; {hint}")
-        tdb_s = utc_to_tdb_s(utc, "utc")
+        tdb_s = None if timeless and not utc else utc_to_tdb_s(utc, "utc")
         position, position_sigma = _position(row, attitude)
         sigma = _sigma(row, "attitude_sigma_arcsec", MIN_ATTITUDE_ARCSEC, MAX_ATTITUDE_ARCSEC)
-        common = float(np.hypot(attitude.sigma_rad(tdb_s), cameras[camera].boresight_sigma_rad))
         written = _unit(row, QUATERNION, "the quaternion qw, qx, qy, qz")
+        if tdb_s is None and attitude.name != "camera_from_body":
+            raise DataError("utc is empty, and attitudes are against the stars; add the time")
+        time = math.nan if tdb_s is None else tdb_s  # a body-fixed attitude needs none
+        common = float(np.hypot(attitude.sigma_rad(time), cameras[camera].boresight_sigma_rad))
         rotation = None if written is None else rotation_from_quaternion(*written)
         sun = _unit(row, SUN, "the Sun's direction sun_x, sun_y, sun_z")
-        motion = attitude.ephemeris
-        if sun is None:
-            sun_body = motion.sun_body(tdb_s)
-        else:
+        sun_body = None if tdb_s is None else attitude.ephemeris.sun_body(tdb_s)
+        if sun is not None:
             sun_body = attitude.places.catalog_direction(sun / float(np.linalg.norm(sun)))
-        turn = None if rotation is None else attitude.read(rotation, tdb_s)
+        turn = None if rotation is None else attitude.read(rotation, time)
         return Frame(
             file=file,
             utc=utc,

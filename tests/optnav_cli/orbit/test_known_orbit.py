@@ -150,3 +150,26 @@ def test_a_file_of_no_known_kind_is_named(tmp_path):
     (tmp_path / "x.txt").write_text("hello\n")
     with pytest.raises(DataError, match="wanted a folder of `optnav orbit fit`, a CCSDS OEM"):
         known_orbit(tmp_path / "x.txt", MOON, CRAFT)
+
+
+def test_picked_points_need_no_time(tmp_path, capsys):
+    pictures = tmp_path / "picked"
+    assert run(["config", "template", "points", "-o", str(pictures)]) == 0
+    assert run(["navigate", str(pictures), "-o", str(tmp_path / "timed")]) == 0
+    frames = pictures / "frames.csv"
+    head, *rows = frames.read_text().splitlines()
+    bare = [",".join([row.split(",")[0], "", *row.split(",")[2:]]) for row in rows]
+    frames.write_text("\n".join([head, *bare]) + "\n")
+    assert run(["navigate", str(pictures), "-o", str(tmp_path / "run")]) == 0
+    for name in ("x_m", "cov_xx_m2"):
+        table = CsvTable((CsvColumn(name, ""),))
+        timed, found = (
+            table.read(tmp_path / which / "solution.csv", lambda row, name=name: row.number(name))
+            for which in ("timed", "run")
+        )
+        assert found == timed
+    settings = pictures / "run.toml"
+    settings.write_text(settings.read_text().replace("camera_from_body", "camera_from_inertial"))
+    assert run(["navigate", str(pictures), "-o", str(tmp_path / "run")]) == 4
+    table = (tmp_path / "run" / "solution.csv").read_text()
+    assert "utc is empty, and attitudes are against the stars; add the time" in table
