@@ -42,8 +42,8 @@ def known_orbit(path: Path, body: Body, craft: int) -> KnownPath:
         orbit = read_orbit(path)
         if orbit.body.name != body.name:
             raise DataError(
-                f"{path}: is an orbit about {orbit.body.name}, the fixes about {body.name}; name "
-                "an orbit about the same body"
+                f"{path}: the fixes are about {body.name}, the orbit about {orbit.body.name}; "
+                "name an orbit about the same body"
             )
         return FittedPath(OrbitPath(orbit))
     raw = read_input(path, "orbit", "name a folder, an OEM, a TLE or an SPK", limit=MAX_BYTES)
