@@ -270,7 +270,8 @@ class _Importer:
                 return path, table
         raise DataError(
             f"{source.path}: no import table that ships is for its instrument; write one "
-            "(configs/imports has examples) and name it with --table"
+            "(configs/imports has examples) and name it with --table; where a label has no "
+            "attitude, write its time to a .csv and name SPICE kernels (--kernel)"
         )
 
     def _generality(self, path: Path) -> tuple[int, str]:

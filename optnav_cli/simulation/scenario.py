@@ -9,8 +9,9 @@ import msgspec
 
 from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import Ephemeris, motion_of
+from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import BUNDLED, load_toml, resource, toml_text
-from catalog.errors import ConfigError
+from catalog.errors import ConfigError, DataError
 from catalog.terrain.dem.file import SHARED, path_of
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
@@ -46,7 +47,8 @@ def load_scenario(path: str | Path) -> ScenarioBase:
     scenario: ScenarioBase = load_toml(path, _kind(path))
     try:
         scenario.check()
-    except ConfigError as error:
+        _check_times(scenario, "")
+    except (ConfigError, DataError) as error:
         raise ConfigError(f"{path}: {error}") from None
     base = path.resolve().parent
 
@@ -120,3 +122,13 @@ def _data_file(base: Path, where: Path, name: str) -> str:
         raise ConfigError(
             f"{where}: there is no terrain model '{name}' beside the scenario, and {error}"
         ) from None
+
+
+def _check_times(settings: msgspec.Struct, section: str) -> None:
+    """Check every setting named *_utc. Raises DataError, which names section and setting."""
+    for name in settings.__struct_fields__:
+        value = getattr(settings, name)
+        if isinstance(value, msgspec.Struct):
+            _check_times(value, name)
+        elif name.endswith("_utc") and isinstance(value, str):
+            utc_to_tdb_s(value, f"[{section}] {name}" if section else name)

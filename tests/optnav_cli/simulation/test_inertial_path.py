@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.config import resource
 from catalog.errors import ConfigError
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.frames.folder import read_folder
@@ -264,3 +265,16 @@ def test_the_template_shows_voyages_too(tmp_path: Path):
         lowest = {"lowest_km": 100.0, "highest_km": 100.0} if section == "flight" else {}
         assert shown == msgspec.to_builtins(kind(**lowest))
         assert all(f"# {name} = " in template for name in shown)
+
+
+def test_a_time_that_is_none_is_named_with_file_and_setting(tmp_path: Path) -> None:
+    lines = resource("configs/scenarios/limb_8300km.toml").read_text("utf-8").splitlines()
+    changed = [
+        'start_utc = "2026-400T00:00:00Z"' if line.startswith("start_utc") else line
+        for line in lines
+    ]
+    assert changed != lines
+    path = tmp_path / "s.toml"
+    path.write_text("\n".join(changed))
+    with pytest.raises(ConfigError, match=r"s\.toml: \[\w+\] start_utc: time .* has no day 400"):
+        load_scenario(path)
