@@ -1,5 +1,6 @@
 """A folder of pictures of a lit cylinder to cylinder.csv: distance, light angle and velocity."""
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ from catalog.files import replacing_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.coding import Coding
 from optnav_cli.frames.cylinder_folder import (
     CylinderFolder,
     CylinderRunSettings,
@@ -48,6 +50,10 @@ MAX_SIGMA_DEG = 15.0  # beyond it the angle is no number to trust
 MAX_CUT_SIGMA_DEG = 6.0  # where a limb is cut other angles may fit as well, 70 deg off
 GLARE_SHARE = 0.002  # of the pixels at full scale
 MAX_STEP_S = 60.0  # between pictures that a velocity is taken from
+SCREEN = Coding("gamma", 2.2)  # of pictures for screens
+EIGHT_BITS = 255.0
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -120,11 +126,40 @@ def cylinder_folder(
                 results={"pictures": len(rows), "solved": solved},
                 started=started,
             )
+    _remark_on_coding(read, rows)
     if not solved:
         raise NothingToDoError(
             f"{folder}: no picture gives a distance; the first says: {rows[0].reason}"
         )
     return rows
+
+
+def _remark_on_coding(folder: CylinderFolder, rows: Sequence[CylinderRow]) -> None:
+    """Say once, of 8-bit pictures without a stated coding, what a gamma would do to distances.
+
+    The profile does not show it: a cloth that departs from Lambert's law looks the same.
+    """
+    row = next((row for row in rows if row.fit is not None), None)
+    camera = None if row is None else folder.cameras[row.frame.camera]
+    if row is None or row.fit is None or camera is None or camera.coding is not None:
+        return
+    settings = folder.settings
+    size, lens = CylinderSize(settings.radius_m, settings.height_m), ideal_lens(camera)
+    try:
+        picture = frame_picture(folder.path, row.frame.file, camera)
+        if picture.saturation != EIGHT_BITS:
+            return
+        linear = SCREEN.decode(rectified(picture.values, camera), EIGHT_BITS).astype(np.float32)
+        other = fit_cylinder(measure_profile(linear, picture.saturation), lens, size)
+    except (DataError, NoSolutionError):
+        return
+    off_mm = 1e3 * (other.distance_m - row.fit.distance_m)
+    _log.warning(
+        "camera %s states no [coding]: if its counts have a gamma of 2.2, as pictures for screens, "
+        "distances are off by %.1f mm, more than their sigma says; state it in the camera file "
+        '([coding] curve = "gamma", gamma = 2.2; 1.0 for counts linear in light)',
+        camera.name, -off_mm,
+    )  # fmt: skip
 
 
 def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Path) -> CylinderRow:

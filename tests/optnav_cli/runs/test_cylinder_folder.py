@@ -1,5 +1,7 @@
 """`optnav cylinder` of a simulated craft, end to end, and what it says of bad folders."""
 
+import logging
+import re
 import shutil
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from catalog.config import resource
 from catalog.errors import ConfigError, NothingToDoError
 from catalog.progress import SilentProgress
 from optnav_cli.frames.tables import CYLINDER, CYLINDER_TRUTH
+from optnav_cli.main import run
 from optnav_cli.report import write_report
 from optnav_cli.report.cylinder_plots import cylinder_sheet
 from optnav_cli.runs.cylinder_folder import cylinder_folder
@@ -136,3 +139,45 @@ def test_a_craft_inside_the_cylinder_is_refused() -> None:
     near = msgspec.structs.replace(scenario.cylinder, distance_m=0.1)
     with pytest.raises(ConfigError, match="outside the cylinder"):
         msgspec.structs.replace(scenario, cylinder=near).check()
+
+
+def coded(pictures: Path, place: Path) -> Path:
+    """The same pictures in 8 bits as screens have them: gamma 2.2."""
+    shutil.copytree(pictures, place)
+    stored = {path: cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in place.glob("*.png")}
+    full = 1.05 * max(float(values.max()) for values in stored.values())
+    for path, values in stored.items():
+        cv2.imwrite(str(path), np.rint(255.0 * (values / full) ** (1.0 / 2.2)).astype(np.uint8))
+    return place
+
+
+def distance_errors(run_folder: Path, truth: Path) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    true = {row["file"]: row.number("d_m") for row in CYLINDER_TRUTH.rows(truth)}
+    rows = [row for row in CYLINDER.rows(run_folder / "cylinder.csv") if row["status"] == "solved"]
+    off = np.array([row.number("d_m") - true[row["file"]] for row in rows])
+    return off, np.array([row.number("d_sigma_m") for row in rows]), [r["reason"] for r in rows]
+
+
+def test_what_a_gamma_would_do_is_said_of_pictures_without_a_coding(
+    pictures: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Taken for linear, distances are 9 mm short at a stated 0.2 mm."""
+    folder = coded(pictures, tmp_path / "coded")
+    with caplog.at_level(logging.WARNING):
+        assert run(["cylinder", str(folder), "-o", str(tmp_path / "out")]) == 0
+    off, _, _ = distance_errors(tmp_path / "out", pictures / "truth.csv")
+    (words,) = re.findall(r"states no \[coding\].* off by (-?[0-9.]+) mm", caplog.text)
+    assert float(words) == pytest.approx(1e3 * off[0], abs=1.0)
+
+
+def test_a_stated_coding_gives_the_distances_of_linear_counts(
+    pictures: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = coded(pictures, tmp_path / "coded")
+    for path in (folder / "cameras").glob("*.toml"):
+        path.write_text(path.read_text() + '\n[coding]\ncurve = "gamma"\ngamma = 2.2\n')
+    with caplog.at_level(logging.WARNING):
+        assert run(["cylinder", str(folder), "-o", str(tmp_path / "out")]) == 0
+    off, _, _ = distance_errors(tmp_path / "out", pictures / "truth.csv")
+    assert np.abs(off).max() < 1.5e-3
+    assert "coding" not in caplog.text
