@@ -257,10 +257,14 @@ def _laid(laying: _Laying, gsd_m: float, sun: FloatArray, camera_m: FloatArray) 
         ).astype(np.float32)
         for part in pixels
     ]
-    sampled = _remapped(values, places)
+    gaps = np.isnan(values)
+    level = np.float32(np.nanmedian(values)) if gaps.any() else np.float32(0.0)
+    sampled = _remapped(np.where(gaps, level, values), places)
     high, wide = values.shape
     valid = (places[0] >= -0.5) & (places[0] <= wide - 0.5)
     valid &= (places[1] >= -0.5) & (places[1] <= high - 0.5)
+    if gaps.any():  # pixels without a value, and all that is interpolated with them
+        valid &= _remapped(gaps.astype(np.float32), places) <= 0.0
     return PictureOnGround(sampled, valid, cell, sun, camera_m, laying.projection, pixels)
 
 
@@ -292,7 +296,7 @@ def _binned(picture: Picture, many: int) -> Float32Array:
     rows, cols = (size // many * many for size in values.shape)
     values = values[:rows, :cols]
     if picture.saturation is not None:
-        share = float((values >= picture.saturation).mean())
+        share = float((values >= picture.saturation).sum() / max(np.isfinite(values).sum(), 1))
         if share > MAX_SATURATED:
             raise NoSolutionError(
                 f"{share:.1%} of the picture is saturated; wanted up to {MAX_SATURATED:.0%}: "
@@ -303,7 +307,7 @@ def _binned(picture: Picture, many: int) -> Float32Array:
         size = cols // many, rows // many
         values = resized(values, size)
     sample = values[::3, ::3]
-    low, high = np.quantile(sample, [0.002, 0.99])
+    low, high = np.nanquantile(sample, [0.002, 0.99])
     dark = low if 0.0 < low < DARK_SHARE * high else 0.0
     return np.subtract(values, np.float32(dark))
 

@@ -80,6 +80,11 @@ def hessian_determinant(picture: Float32Array, sigma_px: float = SCALE_PX) -> Fl
 def choose_pixels(picture: Float32Array, free: BoolArray, border_px: int) -> FloatArray:
     """The best place (n, 2), x and y, of each square of a picture that is free (rows, cols)."""
     response = np.abs(hessian_determinant(picture))
+    gaps = np.isnan(picture)
+    if gaps.any():  # pixels without a value make edges of their own
+        side = 2 * int(np.ceil(3.0 * SCALE_PX)) + 1
+        wide = np.ones((side, side), np.uint8)
+        response[cv2.dilate(gaps.view(np.uint8), wide) > 0] = 0.0
     height, width = picture.shape
     rows, cols = free.shape
     # less than a hundredth of what the picture's best squares have is noise

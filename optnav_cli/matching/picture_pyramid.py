@@ -17,6 +17,7 @@ from catalog.geometry.grid import bicubic_at
 from catalog.geometry.kernel import bare_kernel, kernel
 from optnav_cli.camera.camera import PIXEL_SIGMA_PX, Camera
 
+FULL_SQUARE_PX = 5  # side of full squares that show no pattern
 BLOCK = 512  # places that are sampled side by side
 NONE = np.uint32(2**32 - 1)  # no row of a picture
 
@@ -36,11 +37,16 @@ REACH = math.sqrt(12.0)
 class PicturePyramid:
     """Samples a picture at any place, averaged over about the footprint of a map node.
 
-    picture (height, width) float32
+    picture     (height, width) float32; NaN where a pixel has no value
+    saturation  count from which on a pixel is full; areas of full pixels show no pattern, and have
+                no value here
     """
 
-    def __init__(self, picture: Float32Array) -> None:
-        self._levels: dict[int, Float32Array] = {1: np.ascontiguousarray(picture, dtype=np.float32)}
+    def __init__(self, picture: Float32Array, saturation: float | None = None) -> None:
+        values = np.ascontiguousarray(picture, dtype=np.float32)
+        if saturation is not None:
+            values = _without_full_areas(values, saturation)
+        self._levels: dict[int, Float32Array] = {1: values}
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -71,6 +77,16 @@ class PicturePyramid:
             level = cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA)
             self._levels[factor] = np.asarray(level, dtype=np.float32)
         return self._levels[factor]
+
+
+def _without_full_areas(values: Float32Array, saturation: float) -> Float32Array:
+    """A picture (h, w) with NaN where squares of pixels are full; single full pixels stay."""
+    full = values >= saturation
+    if np.count_nonzero(full) < FULL_SQUARE_PX**2:
+        return values
+    square = np.ones((FULL_SQUARE_PX, FULL_SQUARE_PX), np.uint8)
+    areas = cv2.morphologyEx(full.view(np.uint8), cv2.MORPH_OPEN, square) > 0
+    return np.where(areas, np.float32(np.nan), values) if areas.any() else values
 
 
 @kernel

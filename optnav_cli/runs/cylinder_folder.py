@@ -11,7 +11,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from catalog.arrays import Float32Array
+from catalog.arrays import BoolArray, Float32Array
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.files import replacing_folder
 from catalog.places import check_apart
@@ -34,7 +34,7 @@ from optnav_cli.measurements.cylinder import (
     seed_distance_and_angle,
 )
 from optnav_cli.measurements.cylinder_fit import CylinderFit, IdealLens, fit_cylinder
-from optnav_cli.measurements.cylinder_profile import measure_profile, seed_extent
+from optnav_cli.measurements.cylinder_profile import CylinderProfile, measure_profile, seed_extent
 from optnav_cli.measurements.cylinder_series import series_places, series_velocity
 from optnav_cli.output.cylinder_overlay import cylinder_overlay
 from optnav_cli.output.manifest import hash_files, write_manifest
@@ -172,9 +172,12 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
     except DataError as error:
         return CylinderRow(frame, reason=str(error))
     values, fit = rectified(picture.values, camera), None
+    gaps = np.isnan(values)
+    values = np.where(gaps, np.nanmedian(values), values) if gaps.any() else values
     cut: Sequence[str] = ()
     try:
         profile = measure_profile(values, picture.saturation)
+        _check_gaps(gaps, profile)
         cut = profile.cut
         if formula == "seed":
             height_px, width_px = seed_extent(profile)
@@ -199,6 +202,16 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
     drawn = cylinder_overlay(values, fit, lens, size, f"{words} {row.zone}")
     overlay_path(place / "overlays", frame.file).write_bytes(drawn)
     return row
+
+
+def _check_gaps(gaps: BoolArray, profile: CylinderProfile) -> None:
+    """Raise NoSolutionError where pixels without a value (h, w) lie on the lit cylinder."""
+    if gaps[profile.rows[0] : profile.rows[1]][:, profile.lit].any():
+        raise NoSolutionError(
+            "pixels of the lit cylinder have no value (masked, transparent, no-data, or outside "
+            "valid_area_px)",
+            ReasonCode.BAD_PICTURE,
+        )
 
 
 def _is_dazzled(values: Float32Array, saturation: float | None) -> bool:

@@ -103,7 +103,7 @@ def navigate(
 
     Raises UnsolvedFrameError with the reason when the picture gives no position.
     """
-    picture = PicturePyramid(observation.picture.values)
+    picture = PicturePyramid(observation.picture.values, observation.picture.saturation)
     frame = FrameContext(observation, picture, points, settings, matcher)
     passes: list[_Pass] = []
     while len(passes) < settings.solve.max_passes and not _is_settled(passes):

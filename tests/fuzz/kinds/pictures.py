@@ -141,7 +141,7 @@ def types(place: Place) -> Case:
         "mirrored": (lambda: np.ascontiguousarray(grey[:, ::-1]), OPEN - {DATA}),
         "two values": (lambda: (grey > 20).astype(np.uint8), OPEN - {DATA}),
         "colour, bands equal": (lambda: np.dstack([grey] * 3), OPEN - {DATA}),
-        "colour": (lambda: np.dstack([grey, grey // 2, grey // 3]), BAD),
+        "colour": (lambda: np.dstack([grey, grey // 2, grey // 3]), OPEN - {DATA}),
         "with alpha": (lambda: np.dstack([grey] * 3 + [grey * 0]), OPEN - {DATA}),
     }
     name = rng.choice(sorted(ways))
@@ -283,3 +283,138 @@ def bytes_names(place: Place) -> Case:
     args = ("-q", "navigate", name, "--catalog", "moon.gpkg", "-o", "new")
     codes = frozenset({OK, DATA, NOTHING})
     return Case(args, codes, "new", frozenset({OK, NOTHING}), note=f"folder {name!a}")
+
+
+@kind("picture-mask", 1.0)
+def masked(place: Place) -> Case:
+    """Pixels without a value: by a mask, alpha, no-data, the camera's area; margins, lost lines."""
+    _one_frame(place)
+    rng, values = place.rng, _grey(place)
+    gap = np.random.default_rng(rng.randrange(99)).random(values.shape) < rng.choice((0.001, 0.5))
+    if rng.random() < 0.7:
+        gap[:] = False
+        gap[rng.randrange(SIDE_PX) :, rng.randrange(SIDE_PX) :] = True
+    how = rng.choice(("mask", "alpha", "nodata", "constant", "area", "mask picture", "all"))
+    path = place.folder / "pictures/frame_0000.png"
+    profile = {"driver": "GTiff", "dtype": "uint8", "count": 1, "width": SIDE_PX, "height": SIDE_PX}
+    if how == "all":
+        gap[:] = True
+    if how == "nodata":
+        profile["nodata"] = int(values[0, 0])
+    elif how == "constant":
+        values[gap] = rng.choice((0, 1, 255))
+    bands = [values]
+    if how == "alpha":
+        profile |= {"count": 2, "alpha": "yes", "photometric": "minisblack"}
+        bands.append(np.where(gap, rng.choice((0, 128)), 255).astype(np.uint8))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with (
+            rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
+            rasterio.open(path, "w", **profile) as file,
+        ):
+            file.write(np.stack(bands))
+            if how in ("mask", "all"):
+                file.write_mask(~gap)
+    if how in ("area", "mask picture"):
+        key = f"valid_area_px = {[rng.randrange(-1, SIDE_PX + 2) for _ in range(4)]}\n"
+        if how == "mask picture":
+            key = f'valid_mask = "{rng.choice(("mask.png", "none.png", "../frame_0001.png"))}"\n'
+            place.write("pictures/cameras/mask.png", cv2.imencode(".png", values)[1].tobytes())
+        return _with_camera_key(place, key, f"{how}: {key.strip()}")
+    codes = BAD if how == "all" else OPEN - {DATA}
+    return _navigate(codes, how)
+
+
+def _with_camera_key(place: Place, key: str, note: str) -> Case:
+    """Navigate with one key more in the camera file, which may be wrong."""
+    (path,) = (place.folder / "pictures/cameras").glob("*.toml")
+    path.write_text(path.read_text() + key)
+    return _navigate(OPEN, note)
+
+
+@kind("picture-keys", 0.7)
+def keys(place: Place) -> Case:
+    """Keys of the camera file for reading pictures, right and wrong ones."""
+    _one_frame(place)
+    place.write("pictures/frame_0000.png", place.material("pictures/frame_0000.png"))
+    number = place.rng.choice(("0", "-1", "1e-9", "200", "4095", "1e31", "nan", "true"))
+    key = place.rng.choice(
+        (
+            f"saturation_counts = {number}\n",
+            'channel = "luminance"\n',
+            'channel = "infrared"\n',
+            'exif_orientation = "apply"\n',
+            "exif_orientation = 3\n",
+            'line_order = "bottom_first"\n',
+            f"extension = {number}\n",
+            '[coding]\ncurve = "square"\n',
+            f'[coding]\ncurve = "gamma"\ngamma = {number}\n',
+            f'[coding]\ncurve = "table"\ncounts = [0, {number}]\nlinear = [0, 9]\n',
+            f'[coding]\ncurve = "table"\ncounts = [0, 255]\nlinear = [{number}, 9]\n',
+        )
+    )
+    return _with_camera_key(place, key, key.strip().replace("\n", "; "))
+
+
+FITS_CARDS = (
+    *("BSCALE  = 2.0", "BSCALE  = 0", "BSCALE  = x", "BZERO   = 32768", "BZERO   = 1E300"),
+    *("BLANK   = 0", "BLANK   = 7", "ZIMAGE  = T", "BAYERPAT= 'RGGB'", "ROWORDER= 'BOTTOM-UP'"),
+    *("ROWORDER= 'x'", "SATURATE= 200", "GROUPS  = T", "PCOUNT  = 99999999999", "GCOUNT  = 0"),
+    *("NAXIS1  = 99999999", "NAXIS   = 3", "NAXIS   = 999", "BITPIX  = 12", "BITPIX  = -64"),
+)
+
+
+@kind("picture-fits", 1.0)
+def fits(place: Place) -> Case:
+    """A FITS picture, perhaps in an extension, of odd cards, damaged."""
+    _one_frame(place)
+    rng, grey = place.rng, _grey(place)
+    bitpix, dtype = rng.choice(((8, "u1"), (16, ">i2"), (32, ">i4"), (-32, ">f4"), (-64, ">f8")))
+    first = rng.random() < 0.6
+    cards = [f"BITPIX  = {bitpix}", "NAXIS   = 2", f"NAXIS1  = {SIDE_PX}", f"NAXIS2  = {SIDE_PX}"]
+    odd = rng.choice(("", *FITS_CARDS))
+    # the first of two cards of a name counts
+    cards = [*([odd] if odd and rng.random() < 0.5 else []), *cards, *([odd] if odd else [])]
+    begin = "SIMPLE  = T" if first else "XTENSION= 'IMAGE   '"
+    head = _fits_block([begin, *cards])
+    if not first:
+        head = _fits_block(["SIMPLE  = T", "BITPIX  = 8", "NAXIS   = 0"]) + head
+    pixels = grey.astype(dtype).tobytes()
+    data = head + pixels + bytes(-len(pixels) % 2880)
+    note = f"BITPIX {bitpix}, {odd or 'no odd card'}"
+    if rng.random() < 0.4:
+        data, how = damaged(data, rng)
+        note = f"{note}, {how}"
+    place.write("pictures/frame_0000.png", data)
+    return _navigate(OPEN - {DATA}, note)
+
+
+def _fits_block(cards: list[str]) -> bytes:
+    text = "".join(card.ljust(80) for card in [*cards, "END"])
+    return text.ljust(-(-len(text) // 2880) * 2880).encode()
+
+
+@kind("picture-tags", 0.8)
+def tags(place: Place) -> Case:
+    """EXIF directories of a JPEG or PNG: orientations, cut short, pointing anywhere, of any type."""
+    _one_frame(place)
+    rng = place.rng
+    order, kind_, many = rng.choice("<>"), rng.randrange(14), rng.choice((1, 2, 1 << 31))
+    entries = b"".join(
+        struct.pack(order + "HHI", rng.choice((274, 262, 34665, 0xA500, 301)), kind_, many)
+        + struct.pack(order + "I", rng.choice((1, 3, 8, 1 << 16, (1 << 32) - 1)))
+        for _ in range(rng.randrange(4))
+    )
+    head = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
+    exif = head + struct.pack(order + "H", rng.choice((len(entries) // 12, 60000))) + entries
+    exif = exif[: rng.choice((len(exif), rng.randrange(len(exif))))]
+    ending = rng.choice((".jpg", ".png"))
+    raw = cv2.imencode(ending, _grey(place))[1].tobytes()
+    if ending == ".jpg":
+        segment = b"Exif\0\0" + exif
+        data = raw[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + raw[2:]
+    else:
+        data = raw[:33] + _chunk(b"eXIf", exif) + raw[33:]
+    place.write("pictures/frame_0000.png", data)
+    return _navigate(OPEN - {DATA}, f"{ending}, {len(entries) // 12} tags")

@@ -167,3 +167,20 @@ def test_the_blur_is_that_of_lens_and_pixels():
     assert blur_px(camera) == pytest.approx(np.hypot(0.7, np.sqrt(1.0 / 12.0)))
     unknown = replace(camera, psf_sigma_px=None, psf_error_px=None)
     assert blur_px(unknown) == pytest.approx(np.hypot(ASSUMED_PSF_PX, np.sqrt(1.0 / 12.0)))
+
+
+def test_areas_of_full_pixels_and_those_without_a_value_show_nothing():
+    """A clipped area has no pattern to compare; a single full pixel is one like others."""
+    rng = np.random.default_rng(2)
+    picture = rng.uniform(10.0, 200.0, (60, 60)).astype(np.float32)
+    picture[20:32, 30:50], picture[5, 5], picture[50, :] = 255.0, 255.0, np.nan
+    rows, cols = np.mgrid[:60, :60].astype(float)
+    pixels = np.stack([cols, rows], axis=-1)
+    plain = PicturePyramid(picture).sample(pixels, 1.0)
+    marked = PicturePyramid(picture, 255.0).sample(pixels, 1.0)
+    assert np.isfinite(plain[22:30, 32:48]).all()
+    assert np.isnan(marked[20:32, 30:50]).all()
+    assert np.isfinite(marked[3:8, 3:8]).all()
+    assert np.isnan(marked[50]).all()
+    same = np.isfinite(marked)
+    np.testing.assert_array_equal(marked[same], plain[same])
