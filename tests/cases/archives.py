@@ -187,7 +187,7 @@ def cases(archives: Path) -> dict[str, Callable[[Path], Outcome]]:
     mdis_at = (-629496.0, -1582946.0, 1783953.0)
     mdis_turn = (0.356761, 0.934184, 0.001448, -0.004494)
     imports: dict[str, tuple[tuple[Check, ...], tuple[object, ...]]] = {
-        # the figures are the label's; the cube's later kernels have the craft 11 s further on its way
+        # by the label; the cube's later kernels have the craft 11 s further on its way
         "galileo/io.cub": ((sees((399.0, 399.0), -22.153, -157.972, 20273.0, 5e-3),), (io,)),
         "galileo/io.lbl": (
             (sees((399.0, 399.0), -22.153, -157.972, 20273.0),),
