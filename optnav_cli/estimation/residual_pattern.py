@@ -1,9 +1,11 @@
 """Whether residuals follow a pattern along an arc that errors of single measurements do not make.
 
 Residuals of one series (a star, an axis) are averaged over parts of the arc. The variance between
-these means against that within the parts is Fisher's F of an analysis of variance, whatever the
-size of the errors: Fisher, "Statistical Methods for Research Workers", 1925. A fit that takes some
-of the pattern away makes F smaller, so the probability is an upper bound.
+these means against that within the parts is Fisher's F of an analysis of variance, however much
+larger the errors are than stated: Fisher, "Statistical Methods for Research Workers", 1925. Errors
+smaller than stated count as stated: an orbit held by its prior then shows in all residuals, within
+its own sigma. A fit that takes some of the pattern away makes F smaller, so the probability is an
+upper bound.
 """
 
 import numpy as np
@@ -44,6 +46,6 @@ def pattern_probability(
     between = float((count * means**2).sum())
     within = float(((values - means[place]) ** 2).sum())
     freedom = len(values) - len(count)
-    if not within > 0.0:
+    if freedom < 1:
         return 1.0
-    return float(fdtrc(len(count), freedom, (between / len(count)) / (within / freedom)))
+    return float(fdtrc(len(count), freedom, between / len(count) / max(within / freedom, 1.0)))

@@ -22,9 +22,14 @@ def test_right_residuals_have_the_stated_chance():
     assert chances.min() > 1e-5
 
 
-def test_the_size_of_residuals_does_not_matter():
+def test_sigmas_stated_too_small_do_not_matter():
     values = np.random.default_rng(6).normal(size=720)
-    assert probability(1e3 * values) == pytest.approx(probability(values), rel=1e-9)
+    assert probability(1e3 * values) == pytest.approx(probability(1e2 * values), rel=1e-9)
+
+
+def test_a_pattern_within_the_stated_sigmas_is_none():
+    values = 0.01 * np.random.default_rng(8).normal(size=720)
+    assert probability(values + 0.1 * np.sin(2.0 * np.pi * TIMES / REVOLUTION_S)) > 0.5
 
 
 def test_a_pattern_of_one_sigma_is_seen():

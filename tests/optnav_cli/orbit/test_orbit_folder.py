@@ -227,7 +227,7 @@ def test_a_state_with_two_times_is_refused(place, tmp_path):
     utc = read_orbit(place / "orbit").file.state.utc
     (copy / "orbit.toml").write_text(text.replace(utc, "yesterday"))
     with pytest.raises(
-        DataError, match=r"orbit.toml: \[state\] time 'yesterday' is not understood"
+        DataError, match=r"orbit.toml: \[state\] utc: time 'yesterday' is not understood"
     ):
         read_orbit(copy)
 
