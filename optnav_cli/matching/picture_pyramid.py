@@ -8,6 +8,7 @@ camera's nadir for a squared tangent of the emission of 1, at 948 m from node to
 """
 
 import math
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.grid import bicubic_at
 from catalog.geometry.kernel import bare_kernel, kernel
 from optnav_cli.camera.camera import PIXEL_SIGMA_PX, Camera
+from optnav_cli.matching.smoothness import find_count_step
 
 FULL_SQUARE_PX = 5  # side of full squares that show no pattern
 BLOCK = 512  # places that are sampled side by side
@@ -53,6 +55,11 @@ class PicturePyramid:
         """Height and width of the picture, px."""
         height, width = self._levels[1].shape
         return int(height), int(width)
+
+    @cached_property
+    def count_step(self) -> float:
+        """Between neighbouring counts of the picture; 0 where it has none."""
+        return find_count_step(self._levels[1])
 
     def sample(self, pixels: FloatArray, pixels_per_node: float) -> Float32Array:
         """Brightness at pixels (..., 2); NaN outside the picture or where a pixel is NaN.

@@ -9,6 +9,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.correlation.ncc import (
     cropped,
+    laid_at,
     low_pass,
     match_cut,
     match_ncc,
@@ -31,6 +32,7 @@ from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid, as_seen, blur_px
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.search_plan import NO_DISTORTION, SearchPlan
+from optnav_cli.matching.smoothness import shows_ground
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, distinct_texts
 
 # A reference lit or known over less than this share of its nodes is no picture of a place.
@@ -49,6 +51,7 @@ MARGIN_NODES = 8
 # nothing is known. A catalog's finest patches may have half the posting of its terrain model.
 MIN_ALBEDO_POSTING_M, MIN_FINEST_ALBEDO_POSTING_M = 400.0, 200.0
 
+SMOOTH = Reason(ReasonCode.LOW_SCORE, "smooth brightness or rounding alone, no ground")
 OUTSIDE = Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame")
 
 
@@ -59,11 +62,13 @@ class MatchGates:
     min_score       correlation at the peak
     rival_ratio     the best rival's score over the peak's must stay below it
     min_strength  correlation times the root of the samples compared, where the frame may cut
+    refuse_smooth   whether the picture must show more than smooth brightness and rounding
     """
 
     min_score: float = 0.5
     rival_ratio: float = 0.9
     min_strength: float = 0.0
+    refuse_smooth: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +205,9 @@ def match_point(
         scores = at.score, at.runner_up
         return PointMatch(level, reason, expected + shift, covariance, offset, *scores, part)
 
-    found = placed(match)
+    smooth_too = blur_nodes or not gates.refuse_smooth
+    laid = None if smooth_too else laid_at(sampled, rendered, match)
+    found = _without_smooth(placed(match), laid, picture.count_step)
     least = MIN_ALBEDO_POSTING_M if level else MIN_FINEST_ALBEDO_POSTING_M
     coarse = posting >= least and not (blur_nodes or plan.interim or plan.soft_nodes)
     if found.reason or not coarse or template is not rendered:
@@ -212,6 +219,13 @@ def match_point(
         return relief_match(match, template, seen, window, MARGIN_NODES)
 
     return replace(found, albedo=AlbedoFit(lay, placed))
+
+
+def _without_smooth(found: PointMatch, patch: Float32Array | None, count_step: float) -> PointMatch:
+    """A match, refused where the picture shows no ground under the template and its margin."""
+    if found.reason or patch is None or shows_ground(patch, MARGIN_NODES, count_step):
+        return found
+    return replace(found, reason=SMOOTH)
 
 
 def nodes_a_sample(blur_nodes: float) -> float:

@@ -23,10 +23,12 @@ from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.observation import FROM_FILE, Observation
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import ReasonCode
+from optnav_cli.studies import smooth_pictures
 
 RIGHT, WRONG_SUN = "right", "wrong Sun"
 WINDOW = (0.6, 1.0)  # side of the part of a picture that is shown, over its shorter side
 STAR_SENSOR_RAD = 10.0 * ARCSEC  # half of the exact attitudes become as uncertain as this
+SMOOTH_SIZES_PX = (256, 512, 1024, 2048)  # of pictures without ground
 MIN_POINTS = 4  # in view: with fewer a right situation is not counted as one
 SUN_TURN = (np.pi / 2.0, np.pi)  # about the vertical: the light comes from another side
 
@@ -193,6 +195,27 @@ def other_body(
     return _with_picture(good, filled.astype(np.float32))
 
 
+def smooth(
+    good: Situation, view: PosedPicture, around: Surround, rng: np.random.Generator
+) -> Situation:
+    """A picture without ground, of some size and depth; a defocused one shows ground mirrored."""
+    seen = good.observation
+    size, bits = int(rng.choice(SMOOTH_SIZES_PX)), int(rng.choice(smooth_pictures.BITS))
+    kind = str(rng.choice(smooth_pictures.KINDS))
+    sharp = np.ascontiguousarray(seen.picture.values[:, ::-1])
+    values = smooth_pictures.draw_smooth_picture(size, bits, kind, sharp, rng)
+    factor = size / seen.camera.width_px
+    x, y = seen.camera.principal_point_px
+    camera = replace(
+        seen.camera.with_focal_factor(factor),
+        width_px=size,
+        height_px=size,
+        principal_point_px=((x + 0.5) * factor - 0.5, (y + 0.5) * factor - 0.5),
+    )
+    picture = replace(seen.picture, values=values, saturation=2.0**bits - 1.0)
+    return replace(good, observation=replace(seen, camera=camera, picture=picture))
+
+
 WRONG: dict[str, Spoiled] = {
     "other ground": other_ground,
     "mirrored": mirrored,
@@ -200,6 +223,7 @@ WRONG: dict[str, Spoiled] = {
     WRONG_SUN: wrong_sun,
     "noise": noise,
     "other body": other_body,
+    "smooth": smooth,
 }
 
 

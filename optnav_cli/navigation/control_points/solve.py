@@ -140,7 +140,7 @@ class PointSearch:
             self.pose,
             frame.sun_body,
             frame.matcher,
-            MatchGates(least, limits.rival_ratio, MIN_STRENGTH),
+            MatchGates(least, limits.rival_ratio, MIN_STRENGTH, refuse_smooth=True),
         )
 
 

@@ -62,6 +62,17 @@ def test_right_situations_are_solved_and_wrong_ones_are_not(rough_world, field_o
         assert one.sigmas < 5.0
 
 
+def test_pictures_without_ground_are_never_solved(rough_world, field_of, view, around, good):
+    field, rng = field_of(rough_world), np.random.default_rng(11)
+    sizes = set()
+    for _ in range(16):
+        made = making.smooth(making.right(view, rng), view, around, rng)
+        sizes.add(made.observation.picture.values.shape)
+        assert made.observation.picture.values.shape == made.observation.camera.shape
+        assert not making.outcome("rough", made, view, field).solved
+    assert len(sizes) == 4
+
+
 def test_a_refusal_by_chance_has_a_margin_below_zero(rough_world, field_of, view, monkeypatch):
     good = making.right(view, np.random.default_rng(3))
     field = field_of(rough_world)
