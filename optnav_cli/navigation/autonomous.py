@@ -33,6 +33,8 @@ from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 # So many control points in view, lit and whole, are never all missed where the prior is right: but
 # under a Sun as high as trials go, and behind the camera, the ground shows next to no relief.
 MIN_MISSED_POINTS, MAX_MISSED_SUN_DEG = 8, 55.0
+# Over the widest scatter that is accepted: control points that scatter less confirm an outline.
+MAX_CONFIRMING_SCATTER = 1.5
 # From farther off, where the body is less across, the limb gives the better position.
 SMALL_DISC_PX = 2000.0
 NO_CATALOG = Reason(ReasonCode.NO_CATALOG, "no catalog was given to search control points of")
@@ -145,7 +147,7 @@ class Navigator:
             return self._accept_points(observation, row, confirmed=True)
         why = points.outcome.reason
         missed = _missed_points(tried)
-        if missed < MIN_MISSED_POINTS:
+        if missed < MIN_MISSED_POINTS or _confirms(why, tried):
             evidence = replace(limb, matches=tried.matches)
             alone = replace(row, outcome=replace(fix, evidence=evidence))
             remark = why.worded(f"control points: {why}")
@@ -300,6 +302,19 @@ def _disagreement_remark(points: Fix, outline: Fix) -> Reason:
     away = float(np.linalg.norm(offset)) / 1e3
     text = f"the {outline.method.label} lies {away:.1f} km ({np.sqrt(square):.0f} sigmas) off"
     return Reason(ReasonCode.METHODS_DISAGREE, text)
+
+
+def _confirms(why: Reason, tried: Evidence) -> bool:
+    """Whether control points that scatter too much to be a position still show the right ground.
+
+    why, tried  of their refusal. Where pixels are a tenth of the terrain model's posting its errors
+    move points by several times what their scores tell: they are there, though, about where the
+    outline puts them, and chance does not offer so many such scores.
+    """
+    margins = tried.margins
+    if why.code != ReasonCode.POINTS_DISAGREE or margins is None:
+        return False
+    return margins.chance_decades >= 0.0 and margins.scatter < MAX_CONFIRMING_SCATTER
 
 
 def _missed_points(evidence: Evidence) -> int:

@@ -33,7 +33,7 @@ from optnav_cli.navigation.horizon import method as horizon
 from optnav_cli.navigation.neighbour import CameraView, other_body
 from optnav_cli.navigation.outline.method import outline_of
 from optnav_cli.navigation.outline.one_body import detect_limb
-from optnav_cli.studies import flights
+from optnav_cli.studies import flights, horizon_flights
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 DIRECTION_ARCSEC, DIRECTION_STAR_ARCSEC = 5.0, 20.0  # what far rows ask for
@@ -112,6 +112,7 @@ ROWS = (
     HorizonCase("real nadir 50 km", "real_horizon_050km", 250.0, 280.0, 100.0),
     HorizonCase("real nadir 100 km", "real_horizon_100km", 200.0, 230.0, 100.0),
     HorizonCase("real nadir 200 km", "real_horizon_200km", 150.0, 200.0, 100.0),
+    HorizonCase("real flights 50-800 km, Sun 4-60°", horizon_flights.NAME),
     HorizonCase("nadir 50 km", "horizon_050km", 250.0, 280.0, 100.0),
     HorizonCase("nadir 100 km", "horizon_100km", 200.0, 230.0, 100.0),
     HorizonCase("nadir 200 km", "horizon_200km", 150.0, 200.0, 100.0),
@@ -153,16 +154,20 @@ def run(
     make_folder(output)
     results: list[HorizonResult] = []
     for row in chosen:
-        folder = read_folder(flights.shipped_pictures(output, row.scenario, frames, progress))
-        relief = load_relief(str(globe), folder.body, flights.stated_error_of(row.scenario))
-        results.append(measure(row, folder, relief))
+        if row.scenario == horizon_flights.NAME:
+            made = horizon_flights.pictures(output, horizon_flights.SCORED_SEED, frames, progress)
+        else:
+            made = [flights.shipped_pictures(output, row.scenario, frames, progress)]
+        folders = [read_folder(each) for each in made]
+        relief = load_relief(str(globe), folders[0].body, flights.stated_error_of(row.scenario))
+        results.append(measure(row, folders, relief))
         StudyReport((*report(results).tables, _ways(results))).write(output / flights.FIGURES)
     return results
 
 
-def measure(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> HorizonResult:
-    """Solve every picture of a folder in four ways and compare with its truth.csv."""
-    every = list(_frames(row, folder, relief))
+def measure(row: HorizonCase, folders: Sequence[Folder], relief: GlobalRelief) -> HorizonResult:
+    """Solve every picture of the folders in four ways and compare with their truth.csv."""
+    every = [fix for folder in folders for fix in _frames(row, folder, relief)]
     ways = ((False, False), (True, False), (False, True), (True, True))
     own = ([f for f in every if (f.terrain, f.star_sensor) == way] for way in ways)
     return HorizonResult(row, *map(figures_of, own))

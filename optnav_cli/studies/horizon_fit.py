@@ -28,7 +28,13 @@ from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.measurements.limb.detection import LimbPoints
-from optnav_cli.navigation.horizon.limb_rays import LimbRays, edge_errors, in_sectors, limb_rays_of
+from optnav_cli.navigation.horizon.limb_rays import (
+    LimbRays,
+    edge_errors,
+    in_sectors,
+    limb_rays_of,
+    rough_errors,
+)
 from optnav_cli.navigation.horizon.relief_skyline import relief_skyline
 from optnav_cli.navigation.horizon.sizes import FILE, HorizonSizes, horizon_sizes
 from optnav_cli.navigation.horizon.skyline import follow, usable_rays, with_limb_errors
@@ -90,7 +96,8 @@ class TrueLimb:
         shared = edge_errors(self.rays, self.azimuths, self.sun_sine, sizes.light)
         height = np.full((len(own), 1), sizes.crest.sigma_m * crest)
         model = in_sectors(self.azimuths) * (sizes.crest.model_sector * self.model_m)
-        return own, np.concatenate([shared, height, model / self.distance_m], axis=1)
+        rough = rough_errors(self.rays, self.azimuths, sizes.light)
+        return own, np.concatenate([shared, height, model / self.distance_m, rough], axis=1)
 
 
 def run(

@@ -19,6 +19,7 @@ ARC_BIN_DEG = 2.0
 MIN_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
 RELIEF_BINS = 120  # of azimuth, when relief is propagated
 SECTOR_DEG = 30.0  # of azimuth, over which the light about crests moves edges together
+ROUGH_DEG = 10.0  # and over which long shadows do: residuals are alike over 2 to 10 deg
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +128,24 @@ def edge_errors(
     return np.concatenate([common, sectors], axis=1) * rays.pixel_angle[:, None]
 
 
-def in_sectors(azimuths: FloatArray) -> BoolArray:
-    """(n, m) which azimuths (n,) about the nadir, rad, lie in each sector of SECTOR_DEG."""
-    count = round(360.0 / SECTOR_DEG)
+def rough_errors(
+    rays: LimbRays, azimuths: FloatArray, light: LightSizes | None = None
+) -> FloatArray:
+    """What edges on ground in long shadows have wrong together: (n, m) rad, one sigma of each.
+
+    azimuths (n,) about the nadir;  light  other sizes than the shipped ones
+
+    There the edge model fits no profile well, which shows in the points' own sigmas, and fits those
+    of neighbours wrong alike.
+    """
+    light = light or horizon_sizes().light
+    size_px = light.rough_share * np.maximum(rays.sigma_px - light.rough_px, 0.0)
+    return in_sectors(azimuths, ROUGH_DEG) * (size_px * rays.pixel_angle)[:, None]
+
+
+def in_sectors(azimuths: FloatArray, sector_deg: float = SECTOR_DEG) -> BoolArray:
+    """(n, m) which azimuths (n,) about the nadir, rad, lie in each sector."""
+    count = round(360.0 / sector_deg)
     within: BoolArray = _bins(azimuths, count)[:, None] == np.arange(count)
     return within
 

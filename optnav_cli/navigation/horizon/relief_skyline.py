@@ -17,9 +17,14 @@ from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.estimation.models.limb import fit_limb
 from optnav_cli.estimation.robust import TUKEY, scatter
-from optnav_cli.navigation.horizon.limb_rays import LimbRays
+from optnav_cli.navigation.horizon.limb_rays import LimbRays, rough_errors
 from optnav_cli.navigation.horizon.sizes import HorizonSizes, LightSizes, horizon_sizes
-from optnav_cli.navigation.horizon.skyline import Followed, SkylineFit, usable_rays
+from optnav_cli.navigation.horizon.skyline import (
+    Followed,
+    SkylineFit,
+    shared_errors,
+    usable_rays,
+)
 from optnav_cli.reasons import ReasonCode
 
 NO_TOPS = 0.003  # tops over means, in a cell's size; the Moon's are ten times as high
@@ -28,10 +33,11 @@ MAX_PASSES = 8
 STILL_M = 5.0  # a pass that moves the position by less, or by less than STILL_SIGMAS, is the last
 STILL_SIGMAS = 0.1
 MIN_CUT_PX = 0.2
-# A limb that scatters by so many times what is expected does not belong to this relief, attitude
-# and time: right limbs from 50 to 20 000 km, Sun from 9 deg on, stay below 1.45 over a relief of 16
-# cells a degree and below 1.55 over one of 4. From 100 km a clock off by an hour or a focal length
-# by 1 % reaches 4, an inverse rotation 20.
+# A limb that scatters by so many times what is expected (of edges and crests, each for itself and
+# those of a sector together) does not belong to this relief, attitude and time. Right limbs from 50
+# to 20 000 km, Sun from 9 deg on, stay below 1.45 over a relief of 16 cells a degree and below 1.55
+# over one of 4; with the Sun from 4 deg on below 1.6. From 100 km a clock off by an hour or a focal
+# length by 1 % reaches 4, an inverse rotation 20.
 MAX_MISFIT = 1.8
 
 
@@ -73,8 +79,11 @@ class ReliefSkyline:
             cut = max(TUKEY * scatter(fit.measured.residuals), least)
             fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=fit.state, cut=cut)
         azimuths, distance = kept.azimuths(fit.state), self._distance(fit.state)
-        misfit = scatter(fit.measured.residuals / sigmas)
-        return SkylineFit(fit, kept, azimuths, sun_sine[usable], distance, misfit)
+        made = SkylineFit(fit, kept, azimuths, sun_sine[usable], distance, misfit=np.inf)
+        shared = shared_errors(self, made, self.light)
+        rough = rough_errors(kept, azimuths, self.light)
+        expected = np.sqrt(sigmas**2 + (shared**2).sum(axis=1) + (rough**2).sum(axis=1))
+        return made._replace(misfit=scatter(fit.measured.residuals / expected))
 
     def stands_still(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
         """Whether a step (3,), m, is too small for another pass."""

@@ -16,6 +16,8 @@ class LightSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sector_px: Positive
     sector_low_px: Positive
     sector_fall_deg: Positive
+    rough_share: Positive
+    rough_px: Positive
 
 
 class CrestSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -9,9 +9,15 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray
-from optnav_cli.estimation.consider import with_shared_errors
+from optnav_cli.estimation.consider import considered, with_shared_errors
 from optnav_cli.estimation.least_squares import Estimate
-from optnav_cli.navigation.horizon.limb_rays import LimbRays, edge_errors, in_sectors, require_arc
+from optnav_cli.navigation.horizon.limb_rays import (
+    LimbRays,
+    edge_errors,
+    in_sectors,
+    require_arc,
+    rough_errors,
+)
 from optnav_cli.navigation.horizon.sizes import LightSizes
 
 # Below 3 deg of Sun edges stray by tenths of a pixel, and outward: what is seen there is the far
@@ -123,8 +129,22 @@ def with_limb_errors(
 
     The attitude's error is not in it.  light  as `edge_errors`
     """
+    position, covariance = with_shared_errors(fit.estimate, shared_errors(skyline, fit, light))
+    # not solved for: they look like a shift of the position on a part of the limb
+    rough = rough_errors(fit.rays, fit.azimuths, light)
+    gain = fit.estimate.measured.gain(fit.estimate.noise)
+    return position, covariance + considered(gain, rough)
+
+
+def shared_errors(
+    skyline: BodySkyline, fit: SkylineFit, light: LightSizes | None = None
+) -> FloatArray:
+    """What limb points and crests have wrong together: (n, m) rad, one sigma of each error.
+
+    light  as `edge_errors`
+    """
     crests = np.full((len(fit.rays), 1), skyline.crest_sigma_m / fit.distance_m)
     errors = [edge_errors(fit.rays, fit.azimuths, fit.sun_sine, light), crests]
     if skyline.sector_sigma_m > 0.0:
         errors.append(in_sectors(fit.azimuths) * (skyline.sector_sigma_m / fit.distance_m))
-    return with_shared_errors(fit.estimate, np.concatenate(errors, axis=1))
+    return np.concatenate(errors, axis=1)

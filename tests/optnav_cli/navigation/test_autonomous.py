@@ -18,6 +18,7 @@ from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.fix import (
     Evidence,
     Fix,
+    GateMargins,
     MatchRow,
     Method,
     OutlineMarks,
@@ -62,6 +63,7 @@ class Sky:
         self.outlines: dict[int, np.ndarray | str] = {}
         self.no_points: dict[int, int] = {}
         self.point_sun_deg = 30.0
+        self.margins: GateMargins | None = None
         self.priors: list = []
         self.right = TURN
         self.method = Method.HORIZON
@@ -89,7 +91,8 @@ class Sky:
         if self.frame in self.no_points or wrong:
             count = 24 if wrong else self.no_points[self.frame]
             reason = Reason(ReasonCode.POINTS_DISAGREE, "no 2 matches agree on a position")
-            raise UnsolvedFrameError(reason, tried(count, self.point_sun_deg))
+            evidence = replace(tried(count, self.point_sun_deg), margins=self.margins)
+            raise UnsolvedFrameError(reason, evidence)
         return Fix(
             Method.CONTROL_POINTS,
             self.truth[self.frame] + [10.0, -5.0, 8.0],
@@ -169,6 +172,23 @@ def test_many_missed_points_refuse_the_horizon(sky):
     assert "24 well-lit control points into view, but they are not there" in row.reason
     assert "focal length" in row.reason
     assert row.reason_code == ReasonCode.POINTS_MISSING
+
+
+@pytest.mark.parametrize(
+    ("decades", "scatter", "solved"), [(3.0, 1.05, True), (3.0, 1.6, False), (-1.0, 1.05, False)]
+)
+def test_points_that_scatter_by_their_model_confirm_the_horizon(sky, decades, scatter, solved):
+    """They are there, by more than chance, though their model is too coarse for their pixels."""
+    sky.outlines[0] = np.zeros(3)
+    sky.no_points[0] = 24
+    sky.margins = GateMargins(decades, scatter)
+    row = sky.see(0)
+    assert row.solved == solved
+    if solved:
+        assert row.method == "horizon"
+        assert "control points: no 2 matches agree" in row.reason
+    else:
+        assert row.reason_code == ReasonCode.POINTS_MISSING
 
 
 def test_missed_points_under_a_high_sun_do_not_refuse_the_horizon(sky):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,8 +13,11 @@ from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.relief.sums import load_relief
 from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 from optnav_cli.estimation.models.limb import azimuths_about_nadir, fit_limb
-from optnav_cli.navigation.horizon.limb_rays import relief_covariance
+from optnav_cli.navigation.horizon.limb_rays import limb_rays_of, relief_covariance, rough_errors
 from optnav_cli.navigation.horizon.method import navigate
+from optnav_cli.navigation.horizon.relief_skyline import relief_skyline
+from optnav_cli.navigation.horizon.sizes import horizon_sizes
+from optnav_cli.navigation.horizon.skyline import follow
 from tests.optnav_cli.navigation.horizon.limbs import (
     CAMERA,
     MOON,
@@ -208,3 +212,51 @@ def test_common_edge_errors_are_in_the_height():
     one_pixel = np.linalg.norm(position) * np.sqrt(1.0 / sine**2 - 1.0) * CAMERA.angular_resolution
     assert sigma > 0.02 * one_pixel
     assert sigma < 0.05 * one_pixel
+
+
+def on_shadowed_ground(points, camera_from_body, own_px, seed):
+    """Points that an edge model fits badly: wide sigmas, errors that 10 deg of azimuth share."""
+    wide = replace(points, sigma_px=np.full(len(points), own_px))
+    rays = limb_rays_of(wide, CAMERA, camera_from_body)
+    azimuths = rays.azimuths(-camera_from_body.inv().apply([0.0, 0.0, 1.0]))
+    shared = rough_errors(rays, azimuths) / rays.pixel_angle[:, None]
+    off = shared @ np.random.default_rng(seed).normal(size=shared.shape[1])
+    noise = np.random.default_rng(seed + 100).normal(0.0, own_px, len(points))
+    pixels = points.pixels + (off + noise)[:, None] * points.inward
+    return replace(wide, pixels=pixels)
+
+
+def test_limbs_over_long_shadows_are_judged_by_what_neighbours_share():
+    """Without it a right limb scatters by 1.5 and more times what its points' sigmas expect."""
+    sizes, honest = horizon_sizes(), []
+    alone = replace_light(sizes, rough_share=1e-6)
+    for seed in range(10):
+        position = place(1e5, seed)
+        turned = attitude(position)
+        points = limb_points(position, turned, seed=seed, noise_px=1e-3)
+        rough = on_shadowed_ground(points, turned, 0.5, seed)
+        rays = limb_rays_of(rough, CAMERA, turned)
+        misfits = [
+            follow(relief_skyline(grounds()[1], "moon", each), rays, position, None).fit.misfit
+            for each in (sizes, alone)
+        ]
+        assert misfits[0] < 1.3 < misfits[1]
+        fix = navigate(rough, CAMERA, turned, 0.0, None, MOON, grounds()[1])
+        honest.append(nees(fix, position))
+    assert 0.4 < np.mean(honest) < 1.6
+
+
+def test_only_points_beyond_the_usual_error_share_long_shadows():
+    light = horizon_sizes().light
+    position = place(1e5, 1)
+    turned = attitude(position)
+    points = limb_points(position, turned)
+    for own, expected in ((0.9 * light.rough_px, 0.0), (light.rough_px + 0.2, 0.2)):
+        rays = limb_rays_of(replace(points, sigma_px=np.full(len(points), own)), CAMERA, turned)
+        shared = rough_errors(rays, rays.azimuths(position)) / rays.pixel_angle[:, None]
+        assert np.allclose(shared.sum(axis=1), light.rough_share * expected)
+        assert ((shared != 0.0).sum(axis=1) <= 1).all()
+
+
+def replace_light(sizes, **changes):
+    return msgspec.structs.replace(sizes, light=msgspec.structs.replace(sizes.light, **changes))
