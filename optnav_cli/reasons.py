@@ -52,6 +52,7 @@ class ReasonCode(StrEnum):
     POINT_SOURCE = "point_source", "the disc is no wider than a star"
     THIN_CRESCENT = "thin_crescent", "the phase is too large for the centre of a disc"
     WRONG_LIGHT = "wrong_light", "the light is not that of the body under the Sun of the frame"
+    NONLINEAR_COUNTS = "nonlinear_counts", "the limb shows that counts are not linear in light"
     LIMB_MISFIT = "limb_misfit", "the limb does not fit the body's figure or relief"
     # stars
     FEW_STARS = "few_stars", "fewer than four spots that could be stars"

@@ -25,6 +25,7 @@ from optnav_cli.measurements.limb.candidates import (
     on_limb,
     sharpness,
 )
+from optnav_cli.measurements.limb.coding import fit_edges
 from optnav_cli.measurements.limb.cone import (
     Cone,
     PixelRays,
@@ -33,7 +34,7 @@ from optnav_cli.measurements.limb.cone import (
     fit_cone,
     pixel_rays,
 )
-from optnav_cli.measurements.limb.edge_fit import common_shape, locate_edges, profiles_across
+from optnav_cli.measurements.limb.edge_fit import profiles_across
 from optnav_cli.measurements.segmentation import Segmented
 from optnav_cli.reasons import ReasonCode
 
@@ -66,6 +67,7 @@ class LimbPoints:
     arc_deg           azimuth about the cone's axis that the points cover
     lit_pixels        area of the lit body in the picture
     cut_by_frame      whether the body reaches the picture's edge
+    exponent          of counts that gives light, as the limb shows it; 1: counts are linear
     """
 
     pixels: FloatArray
@@ -78,6 +80,7 @@ class LimbPoints:
     arc_deg: float
     lit_pixels: int
     cut_by_frame: bool
+    exponent: float = 1.0
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -173,11 +176,11 @@ def _limb_of(
 
     limb, where = _thinned(cone, limb, where)
     profiles, places, bend = profiles_across(picture, camera, limb, where, cone, sun_camera)
-    shape = common_shape(profiles, levels, full)
-    depth, sigma = locate_edges(profiles, shape, levels, full)
+    edges = fit_edges(profiles, levels, full)
+    depth, sigma, shape = edges.depth_px, edges.sigma_px, edges.shape
     distance, inward = distances(cone, where)
     if sun_camera is not None and float(np.median(bend)) * MAX_BENT_LIMB_PX > 1.0:
-        bias = edge_bias_px(profiles, places, camera, cone, sun_camera, shape, levels)
+        bias = edge_bias_px(profiles, places, camera, cone, sun_camera, shape, edges.levels)
     else:
         # a convex limb's blur moves its half level inward by sigma^2 / (2 radius)
         bias = 0.5 * shape.blur_px**2 * bend
@@ -206,6 +209,7 @@ def _limb_of(
         arc_deg=checks.arc_deg(cone, where.rays, 3.0, pixel),
         lit_pixels=int(blobs.area[0]),
         cut_by_frame=blobs.reaches_border(0),
+        exponent=edges.exponent,
     )
     return limb_points, cone
 

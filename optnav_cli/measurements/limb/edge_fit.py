@@ -198,9 +198,7 @@ def common_shape(profiles: Profiles, levels: Levels, saturation: float) -> EdgeS
 
     Raises NoSolutionError when no profile has an edge.
     """
-    n = len(profiles.start)
-    some = np.unique(np.linspace(0, n - 1, min(n, MAX_SHAPING)).astype(np.int64))
-    fitter = _Fitter(profiles.subset(some), levels.sky, saturation)
+    fitter = _Fitter(profiles.subset(_some(profiles)), levels.sky, saturation)
     gain = START_GAIN_SHARE**2 * (levels.bright - levels.sky)
     shape = EdgeShape(START_BLUR_PX, (MIXTURE_PRIOR, MIXTURE_PRIOR), levels.noise**2, gain)
     for _ in range(2):
@@ -224,6 +222,25 @@ def locate_edges(
     factor = (total + LOCAL_FREEDOM * mean) / (freedom + LOCAL_FREEDOM)
     depth = np.where(good, fitter.state[:, 2], np.nan)
     return depth, np.sqrt(spread * np.maximum(factor, 0.5) + MODEL_SIGMA_PX**2)
+
+
+def edge_residuals(
+    profiles: Profiles, shape: EdgeShape, levels: Levels, saturation: float
+) -> tuple[FloatArray, FloatArray]:
+    """Distances (m,) of pixels inside their edges, px, and residuals (m,) in sigmas.
+
+    Of the pixels used in as many profiles as find the common shape.
+    """
+    fitter = _Fitter(profiles.subset(_some(profiles)), levels.sky, saturation)
+    residuals = fitter.run(shape)
+    used = (residuals != 0.0) & np.isfinite(residuals)
+    return (fitter.profiles.depth - fitter.state[:, 2:])[used], residuals[used]
+
+
+def _some(profiles: Profiles) -> IntArray:
+    """Numbers of the profiles that find the common blur and law."""
+    n = len(profiles.start)
+    return np.unique(np.linspace(0, n - 1, min(n, MAX_SHAPING)).astype(np.int64))
 
 
 def _better(fitter: _Fitter, start: EdgeShape) -> tuple[EdgeShape, FloatArray, FloatArray]:

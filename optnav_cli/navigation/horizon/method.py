@@ -87,9 +87,20 @@ def navigate(
     evidence = Evidence(residual_rms_px=rms, n_limb=int(used.sum()), arc_deg=arc, outline=marks)
     covariance = covariance + attitude_covariance(position, attitude_sigma_rad)
     short = Reason(ReasonCode.SHORT_ARC, f"short arc of limb, {arc:.0f} deg")
-    remark = short if arc < SHORT_ARC_DEG else NO_REASON
+    remark = _remark_of_coding(points).followed_by(short if arc < SHORT_ARC_DEG else NO_REASON)
     method = Method.HORIZON_SPHERE if relief is None else Method.HORIZON
     return Fix(method, position, covariance, camera_from_body, attitude_sigma_rad, evidence, remark)
+
+
+def _remark_of_coding(points: LimbPoints) -> Reason:
+    """A remark where the limb shows that counts are not linear in light; else none."""
+    if points.exponent == 1.0:
+        return NO_REASON
+    return Reason(
+        ReasonCode.NONLINEAR_COUNTS,
+        f"the limb shows that counts go as light to the power of {1.0 / points.exponent:.2f}; if "
+        "the camera codes them so, state it in its file ([coding])",
+    )
 
 
 def _on_ellipsoid(

@@ -9,6 +9,7 @@ from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.progress import SilentProgress
 from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.studies import horizon_flights
 from optnav_cli.studies.flights import GROUNDS
 from optnav_cli.studies.horizon import ROWS, HorizonResult, LimbFix, figures_of, report, run
 
@@ -20,13 +21,28 @@ def frame(ssp_m, nees, **values):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+SHIPPED = [row for row in ROWS if row.scenario != horizon_flights.NAME]
+
+
+@pytest.mark.parametrize("row", SHIPPED, ids=lambda row: row.name)
 def test_every_row_has_a_scenario_with_enough_pictures(row):
     scenario = load_scenario(resource(f"configs/scenarios/{row.scenario}.toml"))
     orbit = scenario.orbit
     assert orbit.passes * orbit.frames >= (20 if row.range_share is None else 30)
     assert scenario.detail is not None
     assert all(seed is not None for seed in scenario.detail.seeds)
+
+
+def test_flights_differ_in_height_sun_and_seed():
+    drawn = {}
+    for seed in (horizon_flights.FITTED_SEED, horizon_flights.SCORED_SEED):
+        for number, (height, sun) in enumerate(horizon_flights.FLIGHTS):
+            flight = horizon_flights.scenario(number, seed)
+            assert flight.orbit.altitude_km == height
+            assert flight.sun.elevation_deg == pytest.approx((sun, sun), abs=0.01)
+            assert flight.truth.model_error == "gld100"
+            drawn[flight.seed] = height, sun
+    assert len(drawn) == 2 * len(horizon_flights.FLIGHTS)
 
 
 def test_unsolved_frames_count_but_have_no_errors():

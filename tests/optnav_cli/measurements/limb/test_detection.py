@@ -302,3 +302,25 @@ def test_structure_beyond_the_limb_is_no_stray_light():
     picture = np.maximum(ground, 150.0 * light / light.max()).astype(np.float32)
     with pytest.raises(NoSolutionError):
         find_limb(picture, camera, sun)
+
+
+@pytest.mark.parametrize(("radius_px", "phase_deg"), [(60, 30), (100, 60), (100, 110)])
+@pytest.mark.parametrize("power", [1.0, 0.7, 0.5])
+def test_a_limb_shows_that_counts_are_not_linear(radius_px, phase_deg, power):
+    """As they stand, counts under a square root put the limb 0.36 px out, 20 stated sigmas."""
+    camera, centre, sun, light, rng = scene(radius_px, phase_deg)
+    linear = expose(light, 50.0, rng) + np.float32(8.0)
+    coded = np.rint(255.0 * np.clip(linear / 255.0, 0.0, 1.0) ** power).astype(np.float32)
+    limb = find_limb(coded, camera, sun)
+    assert (limb.exponent == 1.0) == (power == 1.0)
+    assert limb.exponent == pytest.approx(1.0 / power, rel=0.16)
+    outward = outward_px(camera, centre, limb)
+    weight = limb.sigma_px**-2
+    assert abs(weight @ outward / weight.sum()) < 3.0 * limb.common_sigma_px
+
+
+def test_a_halo_is_not_taken_for_a_coding():
+    camera, _, sun, light, rng = scene(100, 60)
+    scattered = 0.9 * light + 0.1 * cv2.GaussianBlur(light, (0, 0), 6.0)
+    limb = find_limb(expose(scattered, 50.0, rng), camera, sun)
+    assert limb.exponent == 1.0
