@@ -231,11 +231,11 @@ def cases(archives: Path) -> dict[str, Callable[[Path], Outcome]]:
     silent: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
         "dawn/fc.lbl": (
             (labels / "FC21A0038582_15170161546F6F_pds3.lbl", "--body", "ceres"),
-            ("no camera is known", "no position"),
+            ("is cut short", "no position"),  # the label alone, without its picture
         ),
         "hayabusa2/onc.fit": (
             (next((archives / "hayabusa2_fits").glob("*.fit"), archives), "--body", "earth"),
-            ("no import table", "not state"),
+            ("no position",),
         ),
         "voyager2/miranda.vic": (
             (archives / "voyager2_miranda/original/mirandab.vio.vic", "--body", "miranda"),
@@ -247,7 +247,7 @@ def cases(archives: Path) -> dict[str, Callable[[Path], Outcome]]:
         ),
         "osirisrex/mapcam.xml": (
             (orex / "20181201T100711S900_map_L0pan.xml", "--body", "bennu"),
-            ("no camera is known", "no position"),
+            ("there is no such file", "no position"),
         ),
     }
     listed: dict[str, Callable[[Path], Outcome]] = {
