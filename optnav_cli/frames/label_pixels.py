@@ -13,11 +13,13 @@ from catalog.keywords import Keyword
 from catalog.special_values import MISSING_KEYWORDS, SATURATED_KEYWORDS, SpecialValues
 
 _CODED = (
-    "the counts are coded by the camera's own table: state it in the [coding] of the camera file"
+    "the counts are coded by the camera's own table or cut to 8 bits: state the table in the "
+    "[coding] of the camera file, or take another product"
 )
 KEYWORDS = {
-    "DATA_CONVERSION_TYPE": Keyword("refused", _CODED, ("", "12BIT", "8LSB", "N/A", "UNK")),
-    "DataConversionType": Keyword("refused", _CODED, ("", "12BIT", "8LSB", "N/A", "UNK")),
+    # 8LSB, too: its counts begin at 0 again above 255
+    "DATA_CONVERSION_TYPE": Keyword("refused", _CODED, ("", "12BIT", "N/A", "UNK")),
+    "DataConversionType": Keyword("refused", _CODED, ("", "12BIT", "N/A", "UNK")),
     "MESS:COMP12_8": Keyword("refused", _CODED, ("", "0", "N/A", "UNK")),
     "COMP12_8": Keyword("refused", _CODED, ("", "0", "N/A", "UNK")),
     "IMAGE.ENCODING_TYPE": Keyword(  # others are the telemetry's, as Galileo's
