@@ -1,64 +1,39 @@
 """Pictures of an archive, with the geometry of their labels, to a picture folder."""
 
-import shutil
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
-import rasterio
-from rasterio.errors import NotGeoreferencedWarning
-
-from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import is_body_file, load_body
 from catalog.bodies.ephemeris import Ephemeris, motion_of
-from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.kernels import KernelSet
 from catalog.config import nearest_name, resource
 from catalog.errors import ConfigError, DataError, UsageError
 from catalog.files import replacing_folder
-from catalog.keywords import check_keywords
 from catalog.places import check_apart
-from catalog.rasters import PICTURES, open_raster, reading_raster
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.frames.archive_frame import NINE_IDENTITY, FrameMaker, ImportTable, load_table
-from optnav_cli.frames.archive_label import ArchiveLabel, format_of, read_label
+from optnav_cli.frames.archive_label import ArchiveLabel, read_label
 from optnav_cli.frames.archive_target import body_of_target
-from optnav_cli.frames.fits_picture import find_unit, fits_shape, is_fits, read_fits
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.full_scale import find_full_scale
 from optnav_cli.frames.geometry_check import check_import
 from optnav_cli.frames.isis_camera import CubeCamera, crop_camera, read_cube_camera
-from optnav_cli.frames.isis_cube import CubePose, Label, read_cube_label, read_cube_pose
+from optnav_cli.frames.isis_cube import CubePose, read_cube_pose
 from optnav_cli.frames.label_geometry import VectorKeys, unstated_keys
-from optnav_cli.frames.label_pixels import (
-    KEYWORDS,
-    is_bottom_first,
-    stated_keywords,
-    stated_specials,
-)
-from optnav_cli.frames.pds3_picture import read_pds3_pixels
-from optnav_cli.frames.raster_pixels import FULL_SCALE, read_raster
 from optnav_cli.frames.run_settings import RunSettings
-from optnav_cli.frames.stored_pixels import StoredPixels
-from optnav_cli.frames.tables import TIMES
 from optnav_cli.output.manifest import hash_files, write_manifest
+from optnav_cli.runs.import_pixels import COPIED, is_flipped, put_picture, read_picture_shape
+from optnav_cli.runs.import_source import ImportSource, check_row_time, read_sources
 
 KIND = "pictures"
 TABLES = "configs/imports"
-COPIED = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm")
-# Brightness as I/F is far below 1, where a navigator that thinks in counts sees nothing.
-HIGHEST = 60_000.0
 NO_TRANSX = (
     "how the picture lies in its camera's frame: no TRANSX in the label, x is taken to the right, "
     "y downwards, z along the boresight"
 )
-NO_VALUE = -1e30  # what ISIS and PDS write for pixels without a value is below
 
 
 @dataclass(frozen=True)
@@ -76,35 +51,6 @@ class ImportOptions:
     body: str | None = None
     pictures: tuple[Path, ...] = ()
     kernels: tuple[Path, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class _Source:
-    """One picture: the file that describes it, and what was read of it.
-
-    kind   a format of import tables
-    label  of FITS and PDS;  cube  the label of an ISIS cube;  utc  of a row in a list of times
-    file   the name of the picture, of a row;  where  "FILE, line N" of it
-    """
-
-    path: Path
-    kind: str
-    label: ArchiveLabel | None = None
-    cube: Label | None = None
-    utc: str = ""
-    file: str = ""
-    where: str = ""
-
-    def text(self, key: str) -> str:
-        """What a label states for a keyword, or nothing."""
-        if self.label is not None:
-            try:
-                return self.label.text(key)
-            except DataError:
-                return ""
-        if self.cube is not None:
-            return str(self.cube.get("IsisCube", {}).get("Instrument", {}).get(key, ""))
-        return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +118,7 @@ class _Importer:
     def add(self, path: Path, own_picture: Path | None) -> None:
         """Add the picture or pictures of a file; what cannot be used is noted."""
         try:
-            sources = list(_sources(path))
+            sources = list(read_sources(path))
         except DataError as error:
             self._skipped.append(str(error))
             return
@@ -183,7 +129,7 @@ class _Importer:
                 row = f"{path}, {source.file}: " if source.file not in str(error) else ""
                 self._skipped.append(f"{row}{error}")
 
-    def _add(self, source: _Source, own_picture: Path | None) -> None:
+    def _add(self, source: ImportSource, own_picture: Path | None) -> None:
         where, table = self._table(source)
         if source.label is not None and source.kind == "fits" and table.extension != "":
             label = read_label(source.path, "fits", str(table.extension))
@@ -204,7 +150,7 @@ class _Importer:
         if known != camera:  # another part of the same camera's picture
             camera = replace(camera, name=f"{camera.name}_{len(self._cameras)}")
         maker = FrameMaker(table, camera.name, motion, self._kernels)
-        flipped, said = _is_flipped(source, table, upside_down)
+        flipped, said = is_flipped(source, table, upside_down)
         copied = picture.suffix.lower() in COPIED and not flipped
         file = picture.name if copied else f"{picture.stem}.tif"
         if file in self._frames:
@@ -215,9 +161,9 @@ class _Importer:
             turn = None if shot is None else shot.camera_from_isis
             frame = maker.of_cube(source.path, pose, file, turn)
         else:
-            _check_row_time(source)
+            check_row_time(source)
             frame = maker.of_time(source.path, file, source.utc)
-        said += _put_picture(source, table, picture, camera, self._place / file, flipped)
+        said += put_picture(source, table, picture, camera, self._place / file, flipped)
         self._pixel_notes += said
         self._cameras[camera.name] = camera
         self._frames[file] = frame
@@ -246,7 +192,7 @@ class _Importer:
             notes.append(f"no blur of camera {camera.name} (psf_sigma_px)")
         self._notes |= dict.fromkeys(notes)
 
-    def _table(self, source: _Source) -> tuple[Path, ImportTable]:
+    def _table(self, source: ImportSource) -> tuple[Path, ImportTable]:
         """The table for a label, and its file."""
         name = self._options.table
         shipped = sorted(resource(f"{TABLES}/near_msi.toml").parent.glob("*.toml"))
@@ -282,7 +228,7 @@ class _Importer:
             self._tables[path] = load_table(path)
         return self._tables[path]
 
-    def _motion_of(self, source: _Source, where: Path, table: ImportTable) -> Ephemeris:
+    def _motion_of(self, source: ImportSource, where: Path, table: ImportTable) -> Ephemeris:
         """How the one body of the folder turns; a label of another one is refused."""
         target = source.text(table.target).lower() if table.target else ""
         shipped = resource("configs/bodies/moon.toml").parent.glob("*.toml")
@@ -329,35 +275,9 @@ def _missing_keys(label: ArchiveLabel | None, keys: VectorKeys | None) -> str:
     return f" ({', '.join(missing)} {'is' if len(missing) == 1 else 'are'} not stated)"
 
 
-def _sources(path: Path) -> Iterator[_Source]:
-    """What a file describes: one picture, or those of a list of times. Raises DataError."""
-    if path.suffix.lower() == ".csv":
-        for row in TIMES.rows(path):
-            yield _Source(path, "times", utc=row["utc"], file=row["file"], where=row.where)
-        return
-    kind = format_of(path)
-    if kind is not None:
-        yield _Source(path, kind, label=read_label(path, kind))
-        return
-    try:
-        cube = read_cube_label(path)
-    except DataError:
-        raise DataError(
-            f"{path}: no label with a geometry in it; wanted an ISIS cube, a PDS label, a FITS "
-            "file, a list of settings, or a .csv with the times of pictures"
-        ) from None
-    yield _Source(path, "isis", cube=cube)
-
-
-def _check_row_time(source: _Source) -> None:
-    """Refuse a time of a list that is none, by its line and column. Raises DataError."""
-    try:
-        utc_to_tdb_s(source.utc, "utc")
-    except DataError as error:
-        raise DataError(f"{source.where}: {error}") from None
-
-
-def _read_cube(source: _Source, table: ImportTable) -> tuple[CubePose | None, CubeCamera | None]:
+def _read_cube(
+    source: ImportSource, table: ImportTable
+) -> tuple[CubePose | None, CubeCamera | None]:
     """Pose and camera of a cube; no camera where the table says how the picture lies."""
     if source.cube is None:
         return None, None
@@ -368,7 +288,9 @@ def _read_cube(source: _Source, table: ImportTable) -> tuple[CubePose | None, Cu
     return pose, read_cube_camera(source.path, source.cube, body_isis)
 
 
-def _camera(names: str | tuple[str, ...], beside: Path, source: _Source, picture: Path) -> Camera:
+def _camera(
+    names: str | tuple[str, ...], beside: Path, source: ImportSource, picture: Path
+) -> Camera:
     """The camera of a name, or the first of several that takes pictures of this one's size."""
     if not names and source.cube is not None:
         raise DataError(
@@ -384,157 +306,15 @@ def _camera(names: str | tuple[str, ...], beside: Path, source: _Source, picture
     if len(cameras) == 1:
         return cameras[0]
     try:
-        shape = _picture_shape(source, picture)
+        shape = read_picture_shape(source, picture)
     except DataError:  # said where the picture is read
         return cameras[0]
     return next((camera for camera in cameras if camera.shape == shape), cameras[0])
 
 
-def _picture_shape(source: _Source, picture: Path) -> tuple[int, int]:
-    """Rows and columns of a picture. Raises DataError."""
-    if is_fits(picture):
-        return fits_shape(find_unit(picture))
-    try:
-        return _shape(picture)
-    except DataError:
-        if source.label is None or source.kind != "pds3" or picture != source.path:
-            raise
-    rows, columns = read_pds3_pixels(source.label).shape
-    return rows, columns
-
-
-def _picture_path(source: _Source, table: ImportTable) -> Path:
+def _picture_path(source: ImportSource, table: ImportTable) -> Path:
     if source.file:
         return source.path.parent / source.file
     if table.picture:
         return source.path.parent / table.picture.replace("{stem}", source.path.stem)
     return source.path
-
-
-def _put_picture(
-    source: _Source,
-    table: ImportTable,
-    picture: Path,
-    camera: Camera,
-    place: Path,
-    flipped: bool,
-) -> list[str]:
-    """Put a picture into the folder, as it is or as a TIFF; return remarks.
-
-    A TIFF keeps which pixels have no value as its mask, and the full scale as a tag.
-    flipped  whether the rows change their order
-    """
-    if picture.suffix.lower() in COPIED and not flipped:
-        _check_size(picture, _shape(picture), camera)
-        shutil.copyfile(picture, place)
-        return []
-    named = stated_keywords(source.text, coded=camera.coding is not None)
-    remarks = check_keywords(source.path, named, KEYWORDS)
-    pixels = _stored(source, table, picture, camera)
-    numbers = pixels.values.astype(np.float64)
-    bad = np.zeros(numbers.shape, np.bool_) if pixels.missing is None else pixels.missing
-    bad = bad | ~np.isfinite(numbers) | (numbers < NO_VALUE)
-    full = camera.saturation_counts or pixels.full
-    if full is None and not bad.all():
-        full = find_full_scale(numbers[~bad])
-    kind = pixels.values.dtype.name
-    if kind not in ("uint8", "uint16"):
-        if camera.coding is not None:
-            raise DataError(
-                f"{picture}: its pixels are {kind}, which import stretches over 16 bits, so the "
-                f"[coding] of camera '{camera.name}' cannot be applied; wanted 8 or 16 bits "
-                "without sign"
-            )
-        kind = "uint16"
-        numbers, full = _rescaled(numbers, bad, full)
-    numbers[bad] = 0.0
-    if flipped:
-        numbers, bad = numbers[::-1], bad[::-1]
-    tags = {} if full is None else {FULL_SCALE: f"{full!r}"}
-    profile = {"driver": "GTiff", "width": camera.width_px, "height": camera.height_px}
-    with (
-        _quiet(),
-        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
-        rasterio.open(place, "w", count=1, dtype=kind, compress="deflate", **profile) as to,
-    ):
-        to.write(np.rint(numbers).astype(kind), 1)
-        if bad.any():
-            to.write_mask(~bad)
-        to.update_tags(**tags)
-    if bad.any():
-        remarks.append(f"{place.name}: {int(bad.sum())} pixels have no value")
-    return remarks
-
-
-def _rescaled(
-    numbers: FloatArray, bad: BoolArray, full: float | None
-) -> tuple[FloatArray, float | None]:
-    """Numbers brought to counts of 16 bits, and full scale with them."""
-    if bad.all():
-        return numbers, full
-    low, high = min(float(numbers[~bad].min()), 0.0), float(numbers[~bad].max())
-    if not high > low:
-        return numbers, full
-    factor = HIGHEST / (high - low)
-    return (numbers - low) * factor, None if full is None else (full - low) * factor
-
-
-def _is_flipped(source: _Source, table: ImportTable, upside_down: bool) -> tuple[bool, list[str]]:
-    """Whether the rows change their order, and the remark where only the label says so.
-
-    upside_down  whether a cube's own camera has its lines from below
-    """
-    if upside_down:
-        note = "by TRANSX and TRANSY its lines run from the bottom up: its rows are turned over"
-        return True, [f"{source.path.name}: {note}"]
-    stated = is_bottom_first(source.text)
-    if table.line_order == "label":
-        return stated, []
-    if table.line_order is None and stated:
-        note = "its label says that its first line is shown lowest; lines are kept as stored "
-        note += '(line_order = "label" or "top_first" in the import table decides)'
-        return False, [f"{source.path.name}: {note}"]
-    return table.line_order == "bottom_first", []
-
-
-def _stored(source: _Source, table: ImportTable, picture: Path, camera: Camera) -> StoredPixels:
-    """The pixels of a source's picture. Raises DataError."""
-    if is_fits(picture):
-        unit = find_unit(picture, str(table.extension))
-        if unit.is_picture:
-            _check_size(picture, fits_shape(unit), camera)
-        return read_fits(picture, unit)
-    try:
-        with open_raster(picture, PICTURES) as dataset, reading_raster(picture, siblings=False):
-            _check_size(picture, dataset.shape, camera)
-            return read_raster(picture, dataset, camera.channel, stated_specials(source.text))
-    except DataError:
-        if source.label is None or source.kind != "pds3" or picture != source.path:
-            raise
-    # a PDS3 label that GDAL cannot read
-    values = read_pds3_pixels(source.label)
-    _check_size(picture, (values.shape[0], values.shape[1]), camera)
-    missing = np.isnan(values) if values.dtype.kind == "f" else None
-    return StoredPixels(values, values.dtype.name, missing)
-
-
-def _shape(path: Path) -> tuple[int, int]:
-    with open_raster(path, PICTURES) as dataset, reading_raster(path, siblings=False):
-        rows, columns = dataset.shape
-        return rows, columns
-
-
-def _check_size(picture: Path, shape: tuple[int, int], camera: Camera) -> None:
-    """Raise DataError for a picture of another size (rows, columns) than the camera's."""
-    if shape != camera.shape:
-        raise DataError(
-            f"{picture}: the picture is {shape[1]} x {shape[0]}; camera '{camera.name}' takes "
-            f"{camera.width_px} x {camera.height_px}: name another --camera"
-        )
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        yield

@@ -1,0 +1,181 @@
+"""The pixels of an archive's picture, put into a picture folder with their mask and full scale."""
+
+import shutil
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from rasterio.errors import NotGeoreferencedWarning
+
+from catalog.arrays import BoolArray, FloatArray
+from catalog.errors import DataError
+from catalog.keywords import check_keywords
+from catalog.rasters import PICTURES, open_raster, reading_raster
+from optnav_cli.camera.camera import Camera
+from optnav_cli.frames.archive_frame import ImportTable
+from optnav_cli.frames.fits_picture import find_unit, fits_shape, is_fits, read_fits
+from optnav_cli.frames.full_scale import find_full_scale
+from optnav_cli.frames.label_pixels import (
+    KEYWORDS,
+    is_bottom_first,
+    stated_keywords,
+    stated_specials,
+)
+from optnav_cli.frames.pds3_picture import read_pds3_pixels
+from optnav_cli.frames.raster_pixels import FULL_SCALE, read_raster
+from optnav_cli.frames.stored_pixels import StoredPixels
+from optnav_cli.runs.import_source import ImportSource
+
+COPIED = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm")
+# Brightness as I/F is far below 1, where a navigator that thinks in counts sees nothing.
+HIGHEST = 60_000.0
+NO_VALUE = -1e30  # what ISIS and PDS write for pixels without a value is below
+
+
+def read_picture_shape(source: ImportSource, picture: Path) -> tuple[int, int]:
+    """Read rows and columns of a picture. Raises DataError."""
+    if is_fits(picture):
+        return fits_shape(find_unit(picture))
+    try:
+        return _shape(picture)
+    except DataError:
+        if source.label is None or source.kind != "pds3" or picture != source.path:
+            raise
+    rows, columns = read_pds3_pixels(source.label).shape
+    return rows, columns
+
+
+def put_picture(
+    source: ImportSource,
+    table: ImportTable,
+    picture: Path,
+    camera: Camera,
+    place: Path,
+    flipped: bool,
+) -> list[str]:
+    """Put a picture into the folder, as it is or as a TIFF; return remarks.
+
+    A TIFF keeps which pixels have no value as its mask, and the full scale as a tag.
+    flipped  whether the rows change their order
+    """
+    if picture.suffix.lower() in COPIED and not flipped:
+        _check_size(picture, _shape(picture), camera)
+        shutil.copyfile(picture, place)
+        return []
+    named = stated_keywords(source.text, coded=camera.coding is not None)
+    remarks = check_keywords(source.path, named, KEYWORDS)
+    pixels = _stored(source, table, picture, camera)
+    numbers = pixels.values.astype(np.float64)
+    bad = np.zeros(numbers.shape, np.bool_) if pixels.missing is None else pixels.missing
+    bad = bad | ~np.isfinite(numbers) | (numbers < NO_VALUE)
+    full = camera.saturation_counts or pixels.full
+    if full is None and not bad.all():
+        full = find_full_scale(numbers[~bad])
+    kind = pixels.values.dtype.name
+    if kind not in ("uint8", "uint16"):
+        if camera.coding is not None:
+            raise DataError(
+                f"{picture}: its pixels are {kind}, which import stretches over 16 bits, so the "
+                f"[coding] of camera '{camera.name}' cannot be applied; wanted 8 or 16 bits "
+                "without sign"
+            )
+        kind = "uint16"
+        numbers, full = _rescaled(numbers, bad, full)
+    numbers[bad] = 0.0
+    if flipped:
+        numbers, bad = numbers[::-1], bad[::-1]
+    tags = {} if full is None else {FULL_SCALE: f"{full!r}"}
+    profile = {"driver": "GTiff", "width": camera.width_px, "height": camera.height_px}
+    with (
+        _quiet(),
+        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
+        rasterio.open(place, "w", count=1, dtype=kind, compress="deflate", **profile) as to,
+    ):
+        to.write(np.rint(numbers).astype(kind), 1)
+        if bad.any():
+            to.write_mask(~bad)
+        to.update_tags(**tags)
+    if bad.any():
+        remarks.append(f"{place.name}: {int(bad.sum())} pixels have no value")
+    return remarks
+
+
+def _rescaled(
+    numbers: FloatArray, bad: BoolArray, full: float | None
+) -> tuple[FloatArray, float | None]:
+    """Numbers brought to counts of 16 bits, and full scale with them."""
+    if bad.all():
+        return numbers, full
+    low, high = min(float(numbers[~bad].min()), 0.0), float(numbers[~bad].max())
+    if not high > low:
+        return numbers, full
+    factor = HIGHEST / (high - low)
+    return (numbers - low) * factor, None if full is None else (full - low) * factor
+
+
+def is_flipped(
+    source: ImportSource, table: ImportTable, upside_down: bool
+) -> tuple[bool, list[str]]:
+    """Tell whether the rows change their order, and the remark where only the label says so.
+
+    upside_down  whether a cube's own camera has its lines from below
+    """
+    if upside_down:
+        note = "by TRANSX and TRANSY its lines run from the bottom up: its rows are turned over"
+        return True, [f"{source.path.name}: {note}"]
+    stated = is_bottom_first(source.text)
+    if table.line_order == "label":
+        return stated, []
+    if table.line_order is None and stated:
+        note = "its label says that its first line is shown lowest; lines are kept as stored "
+        note += '(line_order = "label" or "top_first" in the import table decides)'
+        return False, [f"{source.path.name}: {note}"]
+    return table.line_order == "bottom_first", []
+
+
+def _stored(
+    source: ImportSource, table: ImportTable, picture: Path, camera: Camera
+) -> StoredPixels:
+    """The pixels of a source's picture. Raises DataError."""
+    if is_fits(picture):
+        unit = find_unit(picture, str(table.extension))
+        if unit.is_picture:
+            _check_size(picture, fits_shape(unit), camera)
+        return read_fits(picture, unit)
+    try:
+        with open_raster(picture, PICTURES) as dataset, reading_raster(picture, siblings=False):
+            _check_size(picture, dataset.shape, camera)
+            return read_raster(picture, dataset, camera.channel, stated_specials(source.text))
+    except DataError:
+        if source.label is None or source.kind != "pds3" or picture != source.path:
+            raise
+    # a PDS3 label that GDAL cannot read
+    values = read_pds3_pixels(source.label)
+    _check_size(picture, (values.shape[0], values.shape[1]), camera)
+    missing = np.isnan(values) if values.dtype.kind == "f" else None
+    return StoredPixels(values, values.dtype.name, missing)
+
+
+def _shape(path: Path) -> tuple[int, int]:
+    with open_raster(path, PICTURES) as dataset, reading_raster(path, siblings=False):
+        rows, columns = dataset.shape
+        return rows, columns
+
+
+def _check_size(picture: Path, shape: tuple[int, int], camera: Camera) -> None:
+    """Raise DataError for a picture of another size (rows, columns) than the camera's."""
+    if shape != camera.shape:
+        raise DataError(
+            f"{picture}: the picture is {shape[1]} x {shape[0]}; camera '{camera.name}' takes "
+            f"{camera.width_px} x {camera.height_px}: name another --camera"
+        )
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
