@@ -17,6 +17,7 @@ from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.frames.tables import PADS
+from optnav_cli.hazard.pads import REFUSED
 from optnav_cli.main import run
 from optnav_cli.runs.hazard_folder import _catalog_heights
 from tests.catalog.made_catalogs import make_world
@@ -225,15 +226,28 @@ def test_pictures_that_show_too_little_are_refused(
     assert words in capsys.readouterr().err
 
 
-def test_a_picture_with_holes_or_of_another_size_is_refused(
+def write_floats(path: Path, values: np.ndarray) -> None:
+    with rasterio.open(path, "w", "GTiff", SIZE, SIZE, 1, None, ANYWHERE, "float32") as file:
+        file.write(values.astype(np.float32), 1)
+
+
+def test_no_pad_lies_on_a_hole_of_a_picture(place: Path) -> None:
+    values, refused = picture_values().astype(np.float32), []
+    for out in ("whole", "hole"):
+        write_floats(place / "site.tif", values)
+        assert run(["hazard", "site.tif", *ALONE, "-o", out]) == 0
+        with open_raster(place / out / "risk.tif", OWN) as risk:
+            refused.append(risk.read(1) == REFUSED)
+        values[SIZE // 2, SIZE // 2] = np.nan
+    assert (refused[1] >= refused[0]).all()
+    middle = refused[1].shape[0] // 2
+    assert refused[1][middle, middle]
+    assert not refused[0][middle, middle]
+
+
+def test_a_picture_of_another_size_is_refused(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    values = picture_values().astype(np.float32)
-    values[4, 4] = np.nan
-    with rasterio.open("site.tif", "w", "GTiff", SIZE, SIZE, 1, None, ANYWHERE, "float32") as file:
-        file.write(values, 1)
-    assert run(["hazard", "site.tif", *ALONE, "-o", "out"]) == 3
-    assert "not finite" in capsys.readouterr().err
     with rasterio.open("site.tif", "w", "GTiff", 1, 1, 1, None, ANYWHERE, "uint8") as file:
         file.write(np.ones((1, 1), np.uint8), 1)
     assert run(["hazard", "site.tif", *ALONE, "-o", "out"]) == 3
@@ -422,12 +436,12 @@ def test_an_oblong_picture_has_squares_along_it(place: Path) -> None:
     assert [(row["square_row"], row["square_col"]) for row in rows] == [("0", "0"), ("0", "1")]
 
 
-def test_a_picture_in_colour_is_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bands_without_colours_are_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     values = picture_values().astype(np.uint16)
     with rasterio.open("site.tif", "w", "GTiff", SIZE, SIZE, 3, None, ANYWHERE, "uint16") as file:
         file.write(np.stack([values, values, values // 2]))
     assert run(["hazard", "site.tif", *ALONE, "-o", "out"]) == 3
-    assert "in colour" in capsys.readouterr().err
+    assert "has 3 bands (gray, undefined, undefined)" in capsys.readouterr().err
 
 
 def test_ground_of_a_model_moves_what_an_oblique_camera_sees(place: Path) -> None:
