@@ -129,8 +129,8 @@ def test_only_data_and_configs_are_resources(name: str) -> None:
 
 
 def test_a_missing_resource_names_what_is_there() -> None:
-    with pytest.raises(ConfigError, match=r"'configs/bodies/pluto\.toml'; it has .*moon\.toml"):
-        resource("configs/bodies/pluto.toml")
+    with pytest.raises(ConfigError, match=r"'configs/bodies/vulcan\.toml'; it has .*moon\.toml"):
+        resource("configs/bodies/vulcan.toml")
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,7 @@ def test_pictures_without_a_grid_are_named(
     cases = {
         "noise": (np.clip(rng.normal(128, 40, (240, 320)), 0, 255), 4, "no grid"),
         "flat": (np.full((240, 320), 90.0), 3, "the same value"),
-        "colour": (np.stack([0.8 * grey, grey, grey], axis=-1), 3, "in colour"),
+        "colour": (np.stack([0.8 * grey, grey, grey], axis=-1), 0, "its luminance is used"),
         "cut": (drawn_grid(LENS, (7, 5), 160.0, TURNS[0], at_mm=(40.0, 0.0)), 4, "spots lie on"),
         "few": (drawn_grid(LENS, (2, 2), 160.0), 4, "at least 3 x 3"),
     }
