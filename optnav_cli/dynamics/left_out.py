@@ -13,6 +13,7 @@ from optnav_cli.dynamics.orbit_settings import ForcesSettings, SunlightSettings
 TYPICAL_M2_KG = SunlightSettings().strength_m2_kg  # of a craft without sails
 # A fluid body of density growing inward has J2 of a third of its spin's pull over gravity at the
 # equator: 1/3.2 on the Earth, 1/2.3 on Mars, 1/6 on Jupiter.
+SLOW_J2 = 2e-4  # the Moon's, which its spin does not explain; Mercury has 5e-5, Venus 4e-6
 J2_OF_SPIN = 1.0 / 3.0
 DAYS_S = 86400.0
 
@@ -44,10 +45,11 @@ def warn_of_unknown_gravity(body: Body, settings: ForcesSettings | None = None) 
 
 
 def unknown_j2(body: Body) -> float:
-    """Size of J2 of a body without a known field: by its shape, or by its spin if that is more."""
+    """Bound J2 of a body without a known field: by shape, spin, or what slow bodies have."""
     shape = abs(even_field(body).j2)
     rate = float(np.radians(abs(body.rotation.meridian_deg_by_day[1]))) / DAYS_S
-    return max(shape, J2_OF_SPIN * rate**2 * body.radius_m**3 / body.gm_m3_s2)
+    spin = J2_OF_SPIN * rate**2 * body.radius_m**3 / body.gm_m3_s2
+    return max(shape, spin, SLOW_J2)
 
 
 def forces_left_out(forces: Forces, state: FloatArray, tdb_s: float, span_s: float) -> list[str]:

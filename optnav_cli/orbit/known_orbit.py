@@ -18,6 +18,7 @@ from catalog.bodies.epochs import DAY_S, J2000_JD, utc_from_tdb_s
 from catalog.errors import DataError, UsageError
 from catalog.geometry.rotations import rnb_axes
 from catalog.inputs import MEGABYTE, read_input
+from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
 from optnav_cli.orbit.folder import body_fixed_state, read_orbit, stated_turn
 from optnav_cli.orbit.oem import BEGINNING
 from optnav_cli.orbit.oem_reader import read_oem
@@ -45,6 +46,7 @@ def known_orbit(path: Path, body: Body, craft: int) -> KnownPath:
                 f"{path}: the fixes are about {body.name}, the orbit about {orbit.body.name}; "
                 "name an orbit about the same body"
             )
+        warn_of_unknown_gravity(orbit.body, orbit.forces)
         return FittedPath(OrbitPath(orbit))
     raw = read_input(path, "orbit", "name a folder, an OEM, a TLE or an SPK", limit=MAX_BYTES)
     begins = raw.removeprefix(b"\xef\xbb\xbf").lstrip()
