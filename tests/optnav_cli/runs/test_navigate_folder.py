@@ -109,7 +109,6 @@ BAD = {
     "small.png": "256 x 512",
     "black.png": "all black",
     "white.png": "all white",
-    "colour.png": "in colour",
     "turned.png": "quaternion",
     "unturned.png": "no attitude: the quaternion is empty",
     "nowhere.png": "no prior: no limb in view",
@@ -142,7 +141,6 @@ def mixed(rough_world, taken, tmp_path_factory):
     cv2.imwrite(str(place / "small.png"), counts[:, :256])
     cv2.imwrite(str(place / "black.png"), np.zeros_like(counts))
     cv2.imwrite(str(place / "white.png"), np.full_like(counts, 255))
-    cv2.imwrite(str(place / "colour.png"), np.dstack([counts, counts // 2, counts]))
     noise = np.random.default_rng(8).integers(0, 256, counts.shape, dtype=np.uint8)
     cv2.imwrite(str(place / "noise.png"), noise)
     lines = (place / "frames.csv").read_text().splitlines()

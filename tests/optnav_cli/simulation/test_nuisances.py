@@ -55,11 +55,11 @@ def radec(ra_deg: float, dec_deg: float) -> np.ndarray:
 SIRIUS = radec(101.2872, -16.7161)  # Hipparcos 32349, V -1.44
 
 
-def test_the_star_list_is_that_of_the_naked_eye():
+def test_the_star_list_holds_all_stars_of_the_naked_eye():
     """Names of the sky, from other catalogues: Sirius, Polaris and Vega, V -1.44, 1.97, 0.03."""
     stars = bright_stars()
-    assert len(stars.magnitudes) == pytest.approx(8800, abs=100)
-    assert stars.magnitudes.max() <= 6.5
+    assert len(stars.magnitudes) == 9928
+    assert np.count_nonzero(stars.magnitudes <= 6.5) == pytest.approx(8800, abs=100)
     for place, magnitude in ((SIRIUS, -1.44), (radec(37.95, 89.264), 1.97),
                              (radec(279.2347, 38.7837), 0.03)):  # fmt: skip
         off = np.arccos(np.clip(stars.directions @ place, -1.0, 1.0))
