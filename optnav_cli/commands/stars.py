@@ -6,7 +6,7 @@ import click
 
 from optnav_cli.console import ConsoleProgress, pass_progress, tell
 from optnav_cli.options import OptnavCommand, output_option, path_argument
-from optnav_cli.parameters import PATH
+from optnav_cli.parameters import PATH, Number
 
 
 @click.command("stars", cls=OptnavCommand)
@@ -19,7 +19,7 @@ from optnav_cli.parameters import PATH
 )
 @click.option(
     "--epoch",
-    type=click.FloatRange(1800.0, 2200.0),
+    type=Number(1800.0, 2200.0),
     help="Year that the places of --catalogue hold for: 2016.0 for Gaia DR3.",
 )
 @pass_progress
