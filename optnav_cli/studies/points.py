@@ -293,10 +293,13 @@ def _three(study: _Study) -> tuple[int, int, float]:
 
 
 def _place_of(words: str) -> FloatArray:
-    """The place (3,), m, that a reason writes as "LAT LON deg, H km high"."""
-    lat, lon, _, height = words.split()[:4]
-    radius = load_body("earth").radius_m + 1e3 * float(height)
-    return xyz_from_latlon(np.radians(float(lat)), np.radians(float(lon)), radius)
+    """Read the place (3,), m, that a reason writes as "geodetic LAT LON deg, H km high"."""
+    lat, lon, _, height = words.removeprefix("geodetic ").split()[:4]
+    up = xyz_from_latlon(np.radians(float(lat)), np.radians(float(lon)), 1.0)
+    radii = np.array(load_body("earth").radii_m)
+    # the point of the ellipsoid whose normal is `up`
+    place: FloatArray = radii**2 * up / np.linalg.norm(radii * up) + 1e3 * float(height) * up
+    return place
 
 
 def report(result: PointsFigures) -> StudyReport:
