@@ -10,6 +10,7 @@ import html
 import os
 import re
 import stat
+import sys
 import threading
 import warnings
 from collections.abc import Iterator, Mapping
@@ -115,7 +116,7 @@ def open_raster(path: Path, drivers: tuple[str, ...], remedy: str = "check the p
 def reopen_raster(path: Path, drivers: tuple[str, ...]) -> Any:
     """A rasterio dataset of a file that `open_raster` has checked before. Raises DataError."""
     try:
-        with _gdal(siblings="VRT" in drivers), warnings.catch_warnings():
+        with _gdal(siblings="VRT" in drivers), _no_traceback_of_texts(), warnings.catch_warnings():
             # a file without a place on the map gets an error of our own, with a remedy
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             return rasterio.DatasetReader(_followed(path), driver=list(drivers))
@@ -132,6 +133,29 @@ def reopen_raster(path: Path, drivers: tuple[str, ...]) -> Any:
         elif path.suffix.lower() == ".img":
             remedy = f"a PDS3 image needs its label {path.with_suffix('.LBL').name} beside it"
         raise DataError(f"{path}: cannot be opened ({gdal_reason(error)}); {remedy}") from None
+
+
+@contextmanager
+def _no_traceback_of_texts() -> Iterator[None]:
+    """Keep quiet what rasterio prints where words of GDAL hold a file's text that is not UTF-8.
+
+    It cannot raise from within GDAL, and prints the error by the interpreter's hooks instead.
+    """
+    printing, unraisable = sys.excepthook, sys.unraisablehook
+
+    def print_others(kind: type[BaseException], error: BaseException, trace: Any) -> None:
+        if not issubclass(kind, UnicodeDecodeError):
+            printing(kind, error, trace)
+
+    def report_others(event: Any) -> None:
+        if not issubclass(event.exc_type, UnicodeDecodeError):
+            unraisable(event)
+
+    sys.excepthook, sys.unraisablehook = print_others, report_others
+    try:
+        yield
+    finally:
+        sys.excepthook, sys.unraisablehook = printing, unraisable
 
 
 def _is_fits(path: Path) -> bool:

@@ -22,10 +22,12 @@ from catalog.rasters import (
     held_settings,
     open_raster,
     reading_raster,
+    reopen_raster,
 )
 from catalog.terrain.dem.source import DemSettings, DemSource
 from tests.catalog.conftest import smooth_grid, write_dem
 from tests.catalog.mute_server import MuteServer
+from tests.optnav_cli.frames.made_cubes import Cube, write_cube
 
 SRS = (
     '<SRS>GEOGCS["Moon",DATUM["Moon",SPHEROID["Moon",1737400,0]],PRIMEM["0",0],'
@@ -343,6 +345,16 @@ def test_a_label_that_names_a_file_in_no_utf_8_is_refused_quietly(
     label.write_bytes(b'PDS_VERSION_ID = PDS3\r\n^IMAGE = "\xff\xffimg"\r\nEND\r\n')
     with pytest.raises(DataError, match=r"a\.lbl: the name of a file in it is not UTF-8 text"):
         open_raster(label, PICTURES)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_cube_with_a_layout_in_no_utf_8_is_refused_quietly(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    cube = write_cube(tmp_path / "a.cub", Cube())
+    cube.write_bytes(cube.read_bytes().replace(b"BandSequential", b"BandSequ\x82ntial"))
+    with pytest.raises(DataError, match=r"a\.cub: a text of its header is not UTF-8"):
+        reopen_raster(cube, ("ISIS3",))
     assert capfd.readouterr().err == ""
 
 
