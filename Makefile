@@ -58,7 +58,7 @@ types: $(READY) ## types alone
 tests: $(READY) ## tests alone (ARGS="-k nearest -x" is handed to pytest; -n 0: one process)
 	$(ONE_THREAD) $(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
-fuzz: $(READY) ## hostile inputs (N=500 SEED=1; one of them again: CASE=kind:seed; KINDS=config)
+fuzz: $(READY) ## hostile inputs (N=500 SEED=1; one of them again: CASE=kind:seed; KINDS=map,import)
 	$(BIN)/python -m tests.fuzz -n $(N) --seed $(SEED) --kinds "$(KINDS)" --case "$(CASE)" $(ARGS)
 
 cases: $(READY) ## read a folder of other programs' files, each right or refused (DIR=/some/folder)

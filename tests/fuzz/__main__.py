@@ -1,6 +1,6 @@
 """`make fuzz`: hostile inputs and command lines, each with the exit codes that are right for it.
 
-python -m tests.fuzz [-n 500] [--seed 1] [--kinds PREFIX] [--case KIND:SEED]
+python -m tests.fuzz [-n 500] [--seed 1] [--kinds PREFIX,...] [--case KIND:SEED]
 """
 
 import argparse
@@ -23,7 +23,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="make fuzz", description=__doc__)
     parser.add_argument("-n", type=int, default=500, help="how many cases")
     parser.add_argument("--seed", type=int, default=1, help="which cases")
-    parser.add_argument("--kinds", default="", help="only kinds whose names begin so")
+    parser.add_argument("--kinds", default="", help="only kinds whose names begin so: map,import")
     parser.add_argument("--case", default="", help="one case alone, KIND:SEED")
     parser.add_argument("--materials", type=Path, help="folder of inputs, kept for the next run")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")

@@ -102,9 +102,12 @@ def kind(name: str, weight: float = 1.0) -> Callable[[Maker], Maker]:
 def chosen(number: int, seed: int, only: str = "") -> tuple[str, int]:
     """The kind and the seed of a run's case by its number.
 
-    only  kinds whose names begin so
+    only  beginnings of the kinds' names, divided by commas
     """
-    kinds = [kind for name, kind in sorted(KINDS.items()) if name.startswith(only) and kind.weight]
+    begins = tuple(only.split(","))
+    kinds = [
+        kind for name, kind in sorted(KINDS.items()) if name.startswith(begins) and kind.weight
+    ]
     rng = random.Random(f"{seed}:{number}")
     (one,) = rng.choices(kinds, [kind.weight for kind in kinds])
     return one.name, seed * 10_000_000 + number
