@@ -11,6 +11,7 @@ import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return manifest
 
 
+@cache  # finding it takes 1 ms a library
 def _version(name: str) -> str:
     try:
         return importlib.metadata.version(name)
