@@ -2,9 +2,10 @@
 
 ISIS reserves the ends of each pixel type (USGS ISIS, SpecialPixel.h): NULL, and the low saturations
 LRS and LIS, are no values; HIS and HRS are saturated. They are values as stored, before base and
-multiplier. PDS3 and PDS4 labels name theirs by keyword, FITS by BLANK and NaN.
+multiplier. PDS3 and PDS4 labels name theirs by keyword, as numbers or bits; FITS by BLANK and NaN.
 """
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,11 @@ SATURATED_KEYWORDS = (
     *("CORE_HIGH_REPR_SATURATION", "CORE_HIGH_INSTR_SATURATION"),
     *("HIGH_REPRESENTATION_SATURATION", "HIGH_INSTRUMENT_SATURATION"),
 )
+# PDS Standards Reference 3.8, chapter 12: decimals, with D for E too, and 16#FF# in a base.
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([EeDd][+-]?[0-9]{1,3})?")
+_BASED = re.compile(r"([+-]?)([0-9]{1,2})#([+-]?)([0-9A-Za-z]{1,32})#")
+_HEXADECIMAL = re.compile(r"0[xX]([0-9A-Fa-f]{1,32})")  # of PDS4
+_NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,42 @@ class SpecialValues:
 def _as_type(value: float, stored: NDArray[Any]) -> np.float64 | np.float32:
     """A value as a float type that holds the stored type; a float32 raster's own rounding."""
     return np.float32(value) if stored.dtype == np.float32 else np.float64(value)
+
+
+def read_number(text: str) -> float | None:
+    """Read a number as PDS3, PDS4 and FITS write it, with D for E and 16#FF# too; None for none."""
+    if _NUMBER.fullmatch(text):
+        return float(text.upper().replace("D", "E"))
+    based = _BASED.fullmatch(text)
+    if based is None or not 2 <= int(based[2]) <= 16:
+        return None
+    try:
+        value = float(int(based[4], int(based[2])))
+    except ValueError:  # a digit that the base does not have
+        return None
+    return -value if "-" in (based[1], based[3]) else value
+
+
+def read_stored_value(text: str, dtype: str) -> float | None:
+    """Read a constant of a label as a value of the type of its pixels; None for no number.
+
+    Digits in a base without a sign are the bits of a stored value where they can be: 16#8001# is
+    -32767 of int16 and 32769 of uint16; eight hexadecimal digits of a real are a float32's bits,
+    sixteen a float64's. 0xFF7FFFFB is 16#FF7FFFFB#.
+    """
+    plain = text.strip("'\" \t")
+    if _NOT_FINITE.fullmatch(plain):
+        return float(plain)
+    plain = _HEXADECIMAL.sub(r"16#\1#", plain) if _HEXADECIMAL.fullmatch(plain) else plain
+    value, based = read_number(plain), _BASED.fullmatch(plain)
+    if value is None or based is None or based[1] or based[3]:
+        return value
+    kind, bits = np.dtype(dtype), int(based[4], int(based[2]))
+    if kind.kind == "f" and based[2] == "16" and len(based[4]) in (8, 16):
+        size = len(based[4]) // 2
+        return float(np.array(bits, f"u{size}").view(f"f{size}"))
+    full = 1 << 8 * kind.itemsize
+    return float(bits - full) if kind.kind == "i" and full // 2 <= bits < full else float(bits)
 
 
 def _isis_real(bits: int) -> float:

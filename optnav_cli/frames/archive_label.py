@@ -16,6 +16,7 @@ from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, check_input
 from catalog.keywords import MAX_SHOWN
+from catalog.special_values import read_number
 from optnav_cli.frames.fits_picture import fits_headers
 from optnav_cli.frames.label_units import EXAMPLES, Quantity, find_unit, unit_of_comment
 from optnav_cli.frames.odl import OdlError, Statement, read_statements
@@ -35,8 +36,6 @@ _NOT_STATED = ("", "-", "N/A", "NA", "UNK", "NULL", "NOT APPLICABLE", "NOT_APPLI
 _PDS3_HEAD = re.compile(
     rb"\A\s*(CCSD|NJPL)\w{8,}|^\s*PDS_VERSION_ID\s*=\s*[\"']?PDS3|^ODL_VERSION_ID", re.M
 )
-_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([EeDd][+-]?[0-9]{1,3})?")
-_BASED = re.compile(r"([+-]?)([0-9]{1,2})#([+-]?)([0-9A-Za-z]{1,32})#")  # 16#FF# of PDS3
 
 
 @dataclass(frozen=True)
@@ -148,20 +147,6 @@ class ArchiveLabel:
                 f"wanted {EXAMPLES[quantity]}: {remedy}"
             )
         return stated[1]
-
-
-def read_number(text: str) -> float | None:
-    """A number as PDS3, PDS4 and FITS write them, with D for E and 16#FF# too; None for none."""
-    if _NUMBER.fullmatch(text):
-        return float(text.upper().replace("D", "E"))
-    based = _BASED.fullmatch(text)
-    if based is None or not 2 <= int(based[2]) <= 16:
-        return None
-    try:
-        value = float(int(based[4], int(based[2])))
-    except ValueError:  # a digit that the base does not have
-        return None
-    return -value if "-" in (based[1], based[3]) else value
 
 
 def read_label(path: Path, kind: LabelFormat, extension: str = "") -> ArchiveLabel:

@@ -4,13 +4,17 @@ Sources: PDS3 Data Dictionary (image objects); PDS4 Information Model, Special_C
 Display_Settings.
 """
 
-import re
 from collections.abc import Callable
+from pathlib import Path
 
-import numpy as np
-
+from catalog.errors import DataError
 from catalog.keywords import Keyword
-from catalog.special_values import MISSING_KEYWORDS, SATURATED_KEYWORDS, SpecialValues
+from catalog.special_values import (
+    MISSING_KEYWORDS,
+    SATURATED_KEYWORDS,
+    SpecialValues,
+    read_stored_value,
+)
 
 _CODED = (
     "the counts are coded by the camera's own table or cut to 8 bits: state the table in the "
@@ -35,19 +39,28 @@ KEYWORDS = {
 }
 CODING_KEYWORDS = ("DATA_CONVERSION_TYPE", "DataConversionType", "MESS:COMP12_8", "COMP12_8")
 _BOTTOM_FIRST = ("UP", "BOTTOM TO TOP")  # of PDS3 and PDS4
-_RADIX = re.compile(r"(\d+)#([0-9A-Fa-f]+)#")
 
 
-def stated_specials(text: Callable[[str], str]) -> SpecialValues | None:
+def stated_specials(path: Path, text: Callable[[str], str], dtype: str) -> SpecialValues | None:
     """Special values that a label names; None for none.
 
-    text  gives a keyword's value, empty where it is not stated
+    text   gives a keyword's value, empty where it is not stated
+    dtype  of the pixels as stored
+    Raises DataError for one that is no number.
     """
     found: dict[bool, list[float]] = {False: [], True: []}
     for names, saturated in ((MISSING_KEYWORDS, False), (SATURATED_KEYWORDS, True)):
         for name in names:
             stated = text(name) or text(f"Special_Constants/{name.lower()}")
-            found[saturated] += _numbers(stated)
+            if not stated:
+                continue
+            value = read_stored_value(stated, dtype)
+            if value is None:
+                raise DataError(
+                    f"{path}: {name} = {stated[:40]}; wanted a number of the type {dtype}: correct "
+                    "the label"
+                )
+            found[saturated].append(value)
     if not (found[False] or found[True]):
         return None
     return SpecialValues(tuple(found[False]), tuple(found[True]))
@@ -63,17 +76,3 @@ def stated_keywords(text: Callable[[str], str], *, coded: bool) -> list[tuple[st
     """What a label states of KEYWORDS, less its coding where the camera file says that."""
     names = [name for name in KEYWORDS if not (coded and name in CODING_KEYWORDS)]
     return [(name, value) for name in names if (value := text(name))]
-
-
-def _numbers(stated: str) -> list[float]:
-    """A number of a label, also as 16#FF7FFFFB#, which is a real's bits as well; else none."""
-    radix = _RADIX.fullmatch(stated.strip())
-    try:
-        if not radix:
-            return [float(stated)] if stated else []
-        whole = int(radix[2], int(radix[1]))
-    except ValueError:
-        return []
-    if whole < 2**32 and int(radix[1]) == 16 and len(radix[2]) == 8:
-        return [float(whole), float(np.array(whole, np.uint32).view(np.float32))]
-    return [float(whole)]

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, read_input
-from catalog.special_values import MISSING_KEYWORDS, SpecialValues
-from optnav_cli.frames.archive_label import ArchiveLabel, read_number
+from optnav_cli.frames.archive_label import ArchiveLabel
 
 MAX_BYTES = 256 * MEGABYTE
 MAX_SIDE = 65_536
@@ -31,7 +30,7 @@ _PLAIN = ("N/A", "NONE", "UNCOMPRESSED", "")
 
 
 def read_pds3_pixels(label: ArchiveLabel) -> NDArray[np.generic]:
-    """Read the band (rows, columns) of a label's IMAGE object; NaN where the label says no value.
+    """Read the band (rows, columns) of a label's IMAGE object, as they are stored.
 
     Raises DataError for a label without one, for coded pixels, and for a file that is cut short.
     """
@@ -53,16 +52,7 @@ def read_pds3_pixels(label: ArchiveLabel) -> NDArray[np.generic]:
         raise DataError(f"{file}: is cut short: {columns} x {rows} pixels do not fit")
     lines = np.frombuffer(raw, np.uint8, rows * row_bytes, start).reshape(rows, row_bytes)
     used = np.ascontiguousarray(lines[:, before : row_bytes - after])
-    values = used.view(layout).astype(layout.newbyteorder("="))
-    missing = SpecialValues(missing=_missing(label)).is_missing(values)
-    return np.where(missing, np.nan, values) if missing.any() else values
-
-
-def _missing(label: ArchiveLabel) -> tuple[float, ...]:
-    """The values, as stored, that a label reserves for pixels without one."""
-    texts = (label.text(key) for key in (f"IMAGE.{name}" for name in MISSING_KEYWORDS)
-             if label.is_stated(key))  # fmt: skip
-    return tuple(value for value in map(read_number, texts) if value is not None)
+    return used.view(layout).astype(layout.newbyteorder("="))
 
 
 def _layout(label: ArchiveLabel) -> np.dtype[np.generic]:

@@ -43,7 +43,7 @@ def read_raster(
     if dataset.driver in _ISIS_DRIVERS:
         special = ISIS.get(kind)
     if special is not None:
-        values, missing, marked = _without_special(values, missing, special)
+        values, missing, marked = without_special(values, missing, special)
         full = marked if full is None else full
     if values.dtype.kind == "f":
         missing = missing | np.isnan(values)
@@ -135,10 +135,13 @@ def _highest(dataset: Any) -> NDArray[np.generic]:
     return np.array([highest], kind)
 
 
-def _without_special(
+def without_special(
     stored: NDArray[np.generic], missing: BoolArray, special: SpecialValues
 ) -> tuple[NDArray[np.generic], BoolArray, float | None]:
-    """Values with the highest valid one where they are saturated, what is missing, full scale."""
+    """Apply special values: saturated pixels get the highest valid value.
+
+    Returns the values, what has no value, and the full scale; None where no pixel is saturated.
+    """
     missing = missing | special.is_missing(stored)
     full = special.is_saturated(stored)
     valid = stored[~(missing | full)]

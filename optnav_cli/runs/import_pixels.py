@@ -14,6 +14,7 @@ from catalog.arrays import BoolArray, FloatArray
 from catalog.errors import DataError
 from catalog.keywords import check_keywords
 from catalog.rasters import PICTURES, open_raster, reading_raster
+from catalog.special_values import SpecialValues
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.archive_frame import ImportTable
 from optnav_cli.frames.fits_picture import find_unit, fits_shape, is_fits, read_fits
@@ -25,7 +26,7 @@ from optnav_cli.frames.label_pixels import (
     stated_specials,
 )
 from optnav_cli.frames.pds3_picture import read_pds3_pixels
-from optnav_cli.frames.raster_pixels import FULL_SCALE, read_raster
+from optnav_cli.frames.raster_pixels import FULL_SCALE, read_raster, without_special
 from optnav_cli.frames.stored_pixels import StoredPixels
 from optnav_cli.runs.import_source import ImportSource
 
@@ -148,15 +149,18 @@ def _stored(
     try:
         with open_raster(picture, PICTURES) as dataset, reading_raster(picture, siblings=False):
             _check_size(picture, dataset.shape, camera)
-            return read_raster(picture, dataset, camera.channel, stated_specials(source.text))
+            special = stated_specials(source.path, source.text, dataset.dtypes[0])
+            return read_raster(picture, dataset, camera.channel, special)
     except DataError:
         if source.label is None or source.kind != "pds3" or picture != source.path:
             raise
     # a PDS3 label that GDAL cannot read
     values = read_pds3_pixels(source.label)
     _check_size(picture, (values.shape[0], values.shape[1]), camera)
-    missing = np.isnan(values) if values.dtype.kind == "f" else None
-    return StoredPixels(values, values.dtype.name, missing)
+    kind = values.dtype.name
+    special = stated_specials(source.path, source.text, kind) or SpecialValues()
+    values, missing, full = without_special(values, np.zeros((1, 1), np.bool_), special)
+    return StoredPixels(values, kind, missing, full)
 
 
 def _shape(path: Path) -> tuple[int, int]:

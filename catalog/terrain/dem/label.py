@@ -6,7 +6,6 @@ image and past all special constants but one.
 """
 
 import json
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,13 @@ import numpy as np
 from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, read_input
 from catalog.keywords import check_keywords
-from catalog.special_values import ISIS, MISSING_KEYWORDS, SATURATED_KEYWORDS, SpecialValues
+from catalog.special_values import (
+    ISIS,
+    MISSING_KEYWORDS,
+    SATURATED_KEYWORDS,
+    SpecialValues,
+    read_stored_value,
+)
 from catalog.terrain.dem.label_keywords import KEYWORDS, PDS3_MAPS
 
 MAX_LABEL = 8 * MEGABYTE
@@ -26,7 +31,6 @@ FLATTENED = 1e-6  # by which axes of an ellipsoid differ, share of the larger on
 DOMAINS = {"ISIS3": "json:ISIS3", "PDS": "json:PDS", "VICAR": "json:VICAR"}
 PDS3_KM = 1000.0  # m; radii of PDS3 and VICAR labels are in km where no unit is stated
 _METRES = {"m": 1.0, "meters": 1.0, "meter": 1.0, "km": 1e3, "kilometers": 1e3, "kilometer": 1e3}
-_BASED = re.compile(r"(\d+)#([0-9A-Fa-f]+)#|(0)[xX]([0-9A-Fa-f]+)")
 
 Stated = dict[str, tuple[str, str]]  # value and unit by GROUP.KEYWORD
 
@@ -207,23 +211,14 @@ def _special(
 
 
 def _number(path: Path, name: str, text: str, dtype: str) -> float | None:
-    """A stored value, of which labels also write the bits: 16#FF7FFFFB#, 0xFF7FFFFB.
-
-    Raises DataError for text that is neither a number nor says that there is none.
-    """
+    """A stored value. Raises DataError for text that is no number nor says that there is none."""
     shown = text.strip("'\" ")
     if shown.upper() in KEYWORDS["Mapping.Rotation"].allowed[1:]:
         return None
-    based = _BASED.fullmatch(shown)
-    try:
-        if based is None:
-            return float(shown)
-        base, digits = (int(based[1]), based[2]) if based[1] else (16, based[4])
-        kind = np.dtype(dtype)
-        bits = int(digits, base).to_bytes(kind.itemsize, "little")
-        return float(np.frombuffer(bits, kind.newbyteorder("<"))[0])
-    except (ValueError, OverflowError):
+    value = read_stored_value(shown, dtype)
+    if value is None:
         raise DataError(
             f"{path}: states {name} = {shown[:40]}; wanted a number of the type {dtype}: correct "
             "the label"
-        ) from None
+        )
+    return value

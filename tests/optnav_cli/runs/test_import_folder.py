@@ -514,6 +514,43 @@ def test_special_values_of_a_label_become_a_mask_and_the_full_scale(tmp_path: Pa
     assert "a.tif: 2 pixels have no value" in imported.remarks
 
 
+@pytest.mark.parametrize("by_gdal", [True, False])
+@pytest.mark.parametrize(
+    ("sample", "layout", "constant", "stored"),
+    [
+        ("IEEE_REAL", ">f4", "16#7F7FFFFB#", np.uint32(0x7F7FFFFB).view(np.float32)),
+        ("PC_REAL", "<f4", "16#7F7FFFFB#", np.uint32(0x7F7FFFFB).view(np.float32)),
+        ("PC_REAL", "<f4", "16#FF7FFFFB#", np.uint32(0xFF7FFFFB).view(np.float32)),
+        ("MSB_INTEGER", ">i2", "16#8001#", -32767),
+        ("LSB_INTEGER", "<i2", "-32767", -32767),
+        ("LSB_UNSIGNED_INTEGER", "<u2", "16#8001#", 32769),
+        ("MSB_UNSIGNED_INTEGER", ">u1", "16#FF#", 255),
+        ("LSB_INTEGER", "<i4", "16#FF7FFFFB#", -8388613),
+    ],
+)
+def test_constants_of_all_sample_types_are_no_values(
+    tmp_path: Path, sample: str, layout: str, constant: str, stored: float, by_gdal: bool
+) -> None:
+    """Read by GDAL, and by the IMAGE object where a keyword is empty: GDAL does not open it."""
+    empty = {} if by_gdal else {"MISSION_PHASE_NAME": ""}
+    path = made_pds3(tmp_path, NULL_CONSTANT=constant, **empty)
+    values = np.arange(100, 124).reshape(4, 6).astype(layout)
+    values[1, 2:4] = stored
+    size = values.dtype.itemsize
+    text = path.read_text().replace("MSB_UNSIGNED_INTEGER", sample)
+    text = text.replace("SAMPLE_BITS = 8", f"SAMPLE_BITS = {8 * size}")
+    path.write_text(text.replace("RECORD_BYTES = 6", f"RECORD_BYTES = {6 * size}"))
+    (tmp_path / "a.img").write_bytes(values.tobytes())
+    import_folder([path], tmp_path / "out", options_of(path))
+    np.testing.assert_array_equal(imported_picture(tmp_path).valid, values != stored)
+
+
+def test_a_constant_that_is_no_number_is_refused_by_its_name(tmp_path: Path) -> None:
+    path = with_pixels(tmp_path, np.full((4, 6), 7, np.uint16), MISSING_CONSTANT='"2#12#"')
+    with pytest.raises(DataError, match=r"a\.lbl: MISSING_CONSTANT = 2#12#; wanted a number"):
+        import_folder([path], tmp_path / "out", options_of(path))
+
+
 def test_full_scale_follows_the_counts_into_16_bits(tmp_path: Path) -> None:
     """Signed counts of 12 bits, clipped at 2047, are stretched over 16 bits."""
     values = np.random.default_rng(3).integers(-20, 1500, (40, 60)).astype(np.int16)
