@@ -18,6 +18,8 @@ from catalog.errors import DataError
 
 J2000_JD = 2451545.0
 DAY_S = 86400.0
+GPS_FROM_TAI_S = -19.0
+TIME_SYSTEMS = ("UTC", "TDB", "TT", "TAI", "GPS")
 FIRST_YEAR = 1960  # UTC is not defined before
 MAX_AFTER_S = 3e11  # more than from the first year to the last, 9999
 
@@ -114,29 +116,42 @@ def _read_calendar(text: str) -> _Calendar:
         date = np.datetime64(f"{year:04d}-01-01") + np.timedelta64(days - 1, "D")
         found_year, month, day = (int(part) for part in str(date).split("-")[-3:])
         if days < 1 or found_year != year:
-            raise DataError(f"time '{text}': {year} has no day {days}; wanted {_EXAMPLE}")
+            raise DataError(f"time '{text}' does not exist: {year} has no day {days}")
     second = float((match["second"] or "0").replace(",", "."))
     clock = int(match["hour"]), int(match["minute"]), second
     return _Calendar(year, month, day, *clock, match["zone"])
 
 
-def tdb_iso_to_tdb_s(text: str) -> float:
-    """TDB seconds past J2000 of an ISO-8601 time that counts TDB, as those of orbit messages may.
+def system_to_tdb_s(text: str, system: str) -> float:
+    """TDB seconds past J2000 of an ISO-8601 time in a time system, as orbit messages have them.
 
-    Raises DataError for what is not a time or has a zone.
+    system  one of TIME_SYSTEMS; its name or Z may end the text
+    Raises DataError for what is not a time, not a possible time, or has another zone.
     """
+    if system == "UTC":
+        return utc_to_tdb_s(text)
     time = _read_calendar(text)
-    if time.zone.lower() not in ("", "z", "tdb"):
-        raise DataError(f"time '{text}' is not TDB (it ends in '{time.zone}'); leave the zone out")
+    if time.zone.upper() not in ("", "Z", system):
+        raise DataError(
+            f"time '{text}' is not {system} (it ends in '{time.zone}'); leave the zone out"
+        )
     try:
         date = np.datetime64(f"{time.year:04d}-{time.month:02d}-{time.day:02d}")
     except ValueError:
         date = np.datetime64("NaT")
     is_clock = time.hour < 24 and time.minute < 60 and time.second < 60.0
     if np.isnat(date) or not (is_clock or time.is_end_of_day):
-        raise DataError(f"time '{text}' does not exist; wanted {_EXAMPLE}")
+        raise DataError(f"time '{text}' does not exist in {system}; wanted {_EXAMPLE}")
     days = float((date - np.datetime64("2000-01-01")).astype(int)) - 0.5
-    return days * DAY_S + 3600.0 * time.hour + 60.0 * time.minute + time.second
+    seconds = 3600.0 * time.hour + 60.0 * time.minute + time.second
+    if system == "TDB":
+        return days * DAY_S + seconds
+    if system == "TT":
+        tt = J2000_JD + days, seconds / DAY_S
+    else:
+        tai_s = seconds - (GPS_FROM_TAI_S if system == "GPS" else 0.0)
+        tt = erfa.taitt(J2000_JD + days, tai_s / DAY_S)
+    return ((tt[0] - J2000_JD) + tt[1]) * DAY_S + _tdb_minus_tt_s(*tt)
 
 
 def _tai(utc: str) -> tuple[float, float]:

@@ -11,12 +11,11 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
-import erfa
 import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
-from catalog.bodies.epochs import DAY_S, J2000_JD, utc_from_tdb_s, utc_to_tdb_s
+from catalog.bodies.epochs import TIME_SYSTEMS, system_to_tdb_s, utc_from_tdb_s
 from catalog.config import nearest_name
 from catalog.errors import DataError
 from catalog.geometry.rotations import rnb_axes
@@ -28,10 +27,8 @@ MAX_BYTES = 64 * MEGABYTE
 ROUNDED_S = 1.0  # START_TIME and STOP_TIME may be cut to whole seconds
 MAX_DEGREE = 31  # of polynomials on even nodes, which swing beyond it
 LOWER = np.tril_indices(6)
-GPS_FROM_TAI_S = -19.0
 # Apart by 0.02": 0.2 m at the Moon's distance, in one file 0.7 m at the geostationary ring.
 FRAMES = ("ICRF", "ICRF1", "ICRF2", "ICRF3", "EME2000", "J2000", "GCRF", "GCRF1", "GCRF2", "GCRF3")
-TIME_SYSTEMS = ("UTC", "TDB", "TT", "TAI", "GPS")
 METHODS = ("HERMITE", "LAGRANGE", "LINEAR")
 VERSIONS = ("1.0", "2.0", "3.0")
 RADIAL, TANGENTIAL, NORMAL = ("RTN", "RSW", "RIC", "QSW"), "TNW", "NTW"
@@ -225,7 +222,7 @@ class _Reader:
 
     def _time(self, number: int, text: str) -> float:
         try:
-            return tdb_s_of(text, self._blocks[-1].meta.get("TIME_SYSTEM", "").upper())
+            return system_to_tdb_s(text, self._blocks[-1].meta.get("TIME_SYSTEM", "").upper())
         except DataError as error:
             raise self._error(number, str(error)) from None
 
@@ -300,7 +297,7 @@ class _Reader:
         for key in ("START_TIME", "STOP_TIME", "USEABLE_START_TIME", "USEABLE_STOP_TIME"):
             if key in meta:
                 try:
-                    stated[key] = tdb_s_of(meta[key], system)
+                    stated[key] = system_to_tdb_s(meta[key], system)
                 except DataError as error:
                     raise DataError(f"{self._path}: {key}: {error}") from None
         first, last = float(times[0]), float(times[-1])
@@ -423,46 +420,3 @@ class _Reader:
 
 def _plain(name: str) -> str:
     return re.sub(r"[\s_-]", "", name).lower()
-
-
-def tdb_s_of(text: str, system: str) -> float:
-    """TDB s past J2000 of a calendar time of the CCSDS (A or B) in a time system.
-
-    system  one of TIME_SYSTEMS;  text  2014-08-05T12:00:00.5 or 2014-217T12:00:00.5, Z or not
-
-    Raises DataError for what is no time.
-    """
-    match = re.fullmatch(
-        r"(\d{4})-(\d{2}-\d{2}|\d{3})T(\d{2}):(\d{2}):(\d{2}(?:\.\d*)?)Z?", text, re.ASCII
-    )
-    if match is None:
-        raise DataError(f"time '{text}' is not understood; wanted such as 2023-08-17T05:23:10.250")
-    date = _date(match[1], match[2])
-    if date is None:
-        raise DataError(f"time '{text}' does not exist")
-    if system == "UTC":
-        return utc_to_tdb_s(f"{date}T{match[3]}:{match[4]}:{match[5]}")
-    hour, minute, second = int(match[3]), int(match[4]), float(match[5])
-    if hour > 23 or minute > 59 or second >= 60.0:
-        raise DataError(f"time '{text}' does not exist in {system}")
-    days = float((date - np.datetime64("2000-01-01")).astype(int)) - 0.5
-    seconds = 3600.0 * hour + 60.0 * minute + second
-    if system == "TDB":
-        return days * DAY_S + seconds
-    tt = J2000_JD + days, seconds / DAY_S
-    if system != "TT":
-        tt = erfa.taitt(tt[0], (seconds - (GPS_FROM_TAI_S if system == "GPS" else 0.0)) / DAY_S)
-    offset = float(erfa.dtdb(*tt, 0.0, 0.0, 0.0, 0.0))
-    return ((tt[0] - J2000_JD) + tt[1]) * DAY_S + offset
-
-
-def _date(year: str, rest: str) -> np.datetime64 | None:
-    """A date by month and day, or by the day of its year; None for one that is not there."""
-    try:
-        if "-" in rest:
-            return np.datetime64(f"{year}-{rest}", "D")
-        first = np.datetime64(f"{year}-01-01", "D")
-    except ValueError:
-        return None
-    date = first + np.timedelta64(int(rest) - 1, "D")
-    return date if str(date)[:4] == year else None

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from datetime import date
+from itertools import product
 from pathlib import Path
 
 import pytest
 
-from catalog.bodies.epochs import tdb_iso_to_tdb_s, tdb_s_after, utc_from_tdb_s, utc_to_tdb_s
+from catalog.bodies.epochs import system_to_tdb_s, tdb_s_after, utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError
 
 TIMES = [
@@ -152,10 +153,26 @@ def test_the_end_of_a_day_is_the_beginning_of_the_next() -> None:
 
 
 def test_times_that_count_tdb_are_read() -> None:
-    assert tdb_iso_to_tdb_s("2000-01-01T12:00:00") == 0.0
-    assert tdb_iso_to_tdb_s("2000-001T12:00:01.5 TDB") == 1.5
-    assert tdb_iso_to_tdb_s("1999-365T24:00:00") == -43200.0
-    assert tdb_iso_to_tdb_s("2016-12-31T23:59:59Z") == 536500799.0
+    assert system_to_tdb_s("2000-01-01T12:00:00", "TDB") == 0.0
+    assert system_to_tdb_s("2000-001T12:00:01.5 TDB", "TDB") == 1.5
+    assert system_to_tdb_s("1999-365T24:00:00", "TDB") == -43200.0
+    assert system_to_tdb_s("2016-12-31T23:59:59Z", "TDB") == 536500799.0
     for text in ("2016-12-31T23:59:60", "2016-02-30T00:00:00", "2016-02-01T00:00:00+01:00", "0"):
         with pytest.raises(DataError, match="time '"):
-            tdb_iso_to_tdb_s(text)
+            system_to_tdb_s(text, "TDB")
+
+
+def test_times_may_count_the_day_of_the_year_in_every_system() -> None:
+    wanted = utc_to_tdb_s("2014-08-05T12:00:00.5Z")
+    assert system_to_tdb_s("2014-217T12:00:00.5Z", "UTC") == wanted
+    assert system_to_tdb_s("2016-366T23:59:60.5", "UTC") == utc_to_tdb_s("2016-12-31T23:59:60.5Z")
+    assert system_to_tdb_s("2000-001T12:00:00", "TDB") == 0.0
+    # TAI - UTC is 35 s in 2014, TT - TAI 32.184 s
+    assert system_to_tdb_s("2014-217T12:01:07.684", "TT") == pytest.approx(wanted, abs=1e-6)
+    for text, system in product(
+        ("2015-366T00:00:00", "2015-000T00:00:00", "2015-02-30T00:00:00"), ("TDB", "UTC", "GPS")
+    ):
+        with pytest.raises(DataError, match="does not exist"):
+            system_to_tdb_s(text, system)
+    with pytest.raises(DataError, match="does not exist in TAI"):
+        system_to_tdb_s("2016-12-31T23:59:60", "TAI")

@@ -1,14 +1,11 @@
 """OEMs of other writers: each keyword that changes a number is used, or refused by its name."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
-from optnav_cli.orbit.oem_reader import J2000_EPOCHS, KEYWORDS, read_oem, tdb_s_of
+from optnav_cli.orbit.oem_reader import J2000_EPOCHS, KEYWORDS, read_oem
 
 GM = 4902.8e9
 RADIUS, TILT = 1.9e6, Rotation.from_euler("xz", [0.7, 0.3])
@@ -219,20 +216,6 @@ def test_too_few_states_for_the_degree_are_said_where_it_is_needed(read):
 def test_times_are_of_their_system(system, later_s, read):
     found = read(segment(EVERY, {"TIME_SYSTEM": system}))
     assert found.times[0] == pytest.approx(START + later_s, abs=2e-3)  # TDB less TT: 1.7 ms
-
-
-def test_times_may_count_the_day_of_the_year():
-    wanted = utc_to_tdb_s("2014-08-05T12:00:00.5Z")
-    assert tdb_s_of("2014-217T12:00:00.5Z", "UTC") == wanted
-    assert tdb_s_of("2016-366T23:59:60.5", "UTC") == utc_to_tdb_s("2016-12-31T23:59:60.5Z")
-    assert tdb_s_of("2000-001T12:00:00", "TDB") == 0.0
-    for text, system in product(
-        ("2015-366T00:00:00", "2015-000T00:00:00", "2015-02-30T00:00:00"), ("TDB", "UTC")
-    ):
-        with pytest.raises(DataError, match="does not exist"):
-            tdb_s_of(text, system)
-    with pytest.raises(DataError, match="does not exist in TAI"):
-        tdb_s_of("2016-12-31T23:59:60", "TAI")
 
 
 @pytest.mark.parametrize(
