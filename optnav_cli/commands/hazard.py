@@ -10,6 +10,12 @@ from optnav_cli.options import OptnavCommand, json_option, output_option, path_a
 from optnav_cli.parameters import PATH, Number
 
 METRES = Number(0.1, 1e5)
+nodata_option = click.option(
+    "--nodata",
+    type=Number(-1e300, 1e300),
+    help="Stored value of the terrain model's pixels without data; one that is not there: all are "
+    "ground.",
+)
 
 
 @click.command("slopes", cls=OptnavCommand, short_help="How steep a terrain model is.")
@@ -22,11 +28,7 @@ METRES = Number(0.1, 1e5)
     help="Distance over which the ground rises; at least two postings are taken.",
 )
 @click.option("--body", default="moon", show_default=True, help="Whose ground it is.")
-@click.option(
-    "--nodata",
-    type=Number(-1e300, 1e300),
-    help="Stored value of pixels without data; one that is not there: all are ground.",
-)
+@nodata_option
 @output_option(
     "The slopes: .tif (degrees, on the model's coordinate system) or .png (map and histogram).",
     (".tif", ".png"),
@@ -69,6 +71,7 @@ def slopes(
 @output_option("Folder for the maps and pads; earlier ones in it are replaced.")
 @click.option("--catalog", type=PATH, help="Heights of the ground: a control-point catalog.")
 @click.option("--dem", type=PATH, help="Heights of the ground: a terrain model.")
+@nodata_option
 @click.option(
     "--slopes",
     type=PATH,

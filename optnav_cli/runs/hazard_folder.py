@@ -57,6 +57,7 @@ class HazardInputs:
 
     catalog, dem  heights of the ground: one of them, or none
     height_m      over the ground, where neither is named
+    nodata        stored value of pixels of `dem` without data; None: as the file says
     """
 
     settings: HazardSettings
@@ -64,6 +65,7 @@ class HazardInputs:
     catalog: Path | None = None
     dem: Path | None = None
     height_m: float | None = None
+    nodata: float | None = None
 
     def files(self) -> list[Path]:
         return [path for path in (self.slopes, self.catalog, self.dem) if path is not None]
@@ -253,8 +255,10 @@ def _ground(inputs: HazardInputs, body: Body, stack: ExitStack) -> Heights | Non
     """Heights of the ground above the body's sphere, by the model or catalog that is named."""
     if inputs.dem is not None and inputs.catalog is not None:
         raise UsageError("--dem and --catalog both give heights of the ground; name one of them")
+    if inputs.dem is None and inputs.nodata is not None:
+        raise UsageError("--nodata is of a terrain model; name one with --dem")
     if inputs.dem is not None:
-        source = DemSource.open_alone(inputs.dem, body)
+        source = DemSource.open_alone(inputs.dem, body, inputs.nodata)
         stack.callback(source.close)
         return lambda lat, lon: source.heights_at(lat, lon).astype(np.float64)
     if inputs.catalog is not None:

@@ -377,7 +377,7 @@ class DemSource:
         told = f"{round(stored, 3 if abs(stored) < 1e6 else None):.10g}"
         remedy = f"state nodata = {told} in {self.section}"
         if self.section == ITSELF:
-            remedy = f"mark it: gdal_translate -a_nodata {told} (optnav slopes takes --nodata, too)"
+            remedy = f"mark it: gdal_translate -a_nodata {told} (slopes and hazard take --nodata)"
         raise DataError(
             f"{self.path}: {end.share:.2g} of its pixels share the "
             f"{'lowest' if end.lowest else 'highest'} height, {end.height:.6g} m, {end.gap:.6g} m "

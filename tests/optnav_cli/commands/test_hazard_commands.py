@@ -288,6 +288,22 @@ def test_a_height_against_the_pose_is_refused(
     assert run(["hazard", str(pictures), "--dem", "dem.tif", "-o", "out"]) == 0
 
 
+def test_no_data_of_the_terrain_model_may_be_stated(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pictures = folder(place, frame("a.tif"))
+    heights = np.zeros((64, 64), np.float32) + np.linspace(0, 1, 64, dtype=np.float32)
+    heights[30:33, 28:33] = -9999.0
+    dem(place / "dem.tif", heights)
+    words = ["hazard", str(pictures), "--dem", "dem.tif", "-o", "out"]
+    assert run(words) == 4  # the reason of its one row
+    assert "-9999" in capsys.readouterr().err
+    assert run([*words, "--nodata", "-9999"]) == 4
+    assert "there are no heights of the ground that the picture shows" in capsys.readouterr().err
+    assert run(["hazard", str(pictures), "--nodata", "-9999", "-o", "out"]) == 2
+    assert "name one with --dem" in capsys.readouterr().err
+
+
 def dem(path: Path, heights: np.ndarray, step: float = 20.0) -> None:
     crs = rasterio.CRS.from_proj4(f"+proj=stere +lat_0=-70 +lon_0=20 +R={RADIUS} +units=m")
     rows, cols = heights.shape
