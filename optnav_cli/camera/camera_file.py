@@ -1,5 +1,7 @@
 """Camera files: TOML in, checked, and out again."""
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -7,6 +9,7 @@ import msgspec
 
 from catalog.config import load_toml, nearest_name, resource
 from catalog.errors import ConfigError
+from catalog.inputs import check_input
 from optnav_cli.camera.camera import Camera, Distortion, LineOrder, Model
 from optnav_cli.camera.coding import Coding
 
@@ -102,6 +105,23 @@ def preset_camera(name: str) -> Camera:
         hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
         raise ConfigError(f"no camera '{name}' ships with optnav; {hint}")
     return load_camera(folder / f"{name}.toml")
+
+
+def write_camera(folder: Path, camera: Camera) -> Path:
+    """Write NAME.toml into a folder, and beside it a copy of the camera's mask; return its path.
+
+    The file names the copy alone, so that the folder can be moved. Raises DataError for a mask
+    that is missing.
+    """
+    file = folder / f"{camera.name}.toml"
+    if camera.valid_mask is not None:
+        mask = Path(camera.valid_mask)
+        check_input(mask, "mask picture", "correct valid_mask of the camera file")
+        name = f"{camera.name}_mask{mask.suffix}"
+        shutil.copyfile(mask, folder / name)
+        camera = replace(camera, valid_mask=name)
+    file.write_text(camera_toml(camera), encoding="utf-8")
+    return file
 
 
 def camera_toml(camera: Camera) -> str:

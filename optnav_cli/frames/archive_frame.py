@@ -87,7 +87,7 @@ class ImportTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     extension          number or name of the picture in a FITS file; left out: the first
     line_order         which line of a file is the picture's uppermost: the first, the last, or as
                        the label says of its display; left out: the first, with a remark where the
-                       label says otherwise
+                       label says otherwise; a PNG or JPEG of --picture has its first uppermost
     """
 
     format: LabelFormat | Literal["isis", "times"]

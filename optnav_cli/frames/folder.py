@@ -8,7 +8,7 @@ from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import Ephemeris, motion_of
 from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.camera.camera_file import camera_toml, load_camera
+from optnav_cli.camera.camera_file import load_camera, write_camera
 from optnav_cli.frames.frames import Frame, picture_path, read_frames, write_frames
 from optnav_cli.frames.picked_points import POINTS_CSV, PickedPoint, read_picked_points
 from optnav_cli.frames.run_settings import (
@@ -131,7 +131,6 @@ def write_folder(
     write_run_settings(settings, path)
     known = {camera.name: camera for camera in cameras}
     for camera in known.values():
-        file = path / "cameras" / f"{camera.name}.toml"
-        file.write_text(camera_toml(camera), encoding="utf-8")
+        write_camera(path / "cameras", camera)
     attitude = FileAttitude(settings.attitude, load_body(settings.body), motion)
     write_frames(path / "frames.csv", attitude, frames, known)

@@ -1,7 +1,8 @@
 """Pixels of picture files that GDAL reads, brought to one band.
 
 GDAL reads all of them, because it fails where a file breaks off, while some other readers fill the
-rest with zeros. GDAL's mask decides which pixels have a value: alpha, mask band, no-data value.
+rest with zeros. GDAL's mask decides which pixels have a value: alpha, mask band, no-data value, or
+a mask of the dataset in a file beside it.
 """
 
 from pathlib import Path
@@ -13,6 +14,7 @@ from rasterio.enums import ColorInterp, MaskFlags
 
 from catalog.arrays import BoolArray
 from catalog.errors import DataError
+from catalog.rasters import OWN, open_raster, reading_raster
 from catalog.special_values import ISIS, SpecialValues
 from optnav_cli.frames.stored_pixels import StoredPixels
 
@@ -38,6 +40,7 @@ def read_raster(
         bands, missing = _palette_bands(dataset)
     else:
         bands, missing = _plain_bands(path, dataset), _masked(dataset)
+    missing = missing | _masked_beside(path, dataset.shape)
     values, remarks = _one_band(path, bands, channel)
     full = _stated_full_scale(dataset)
     if dataset.driver in _ISIS_DRIVERS:
@@ -113,6 +116,26 @@ def _masked(dataset: Any) -> BoolArray:
         return np.zeros((1, 1), np.bool_)
     masked: BoolArray = dataset.read_masks(1) != 255
     return masked
+
+
+def mask_beside(path: Path) -> Path:
+    """The file in which GDAL keeps the mask of a picture that cannot hold one."""
+    return path.with_name(f"{path.name}.msk")
+
+
+def _masked_beside(path: Path, shape: tuple[int, int]) -> BoolArray:
+    """Mark the pixels (h, w) where the mask beside a file is 0. Raises DataError for another's."""
+    file = mask_beside(path)
+    if not file.is_file():
+        return np.zeros((1, 1), np.bool_)
+    with open_raster(file, OWN) as mask, reading_raster(file, siblings=False):
+        if mask.shape != shape:
+            raise DataError(
+                f"{file}: the mask is {mask.width} x {mask.height}; wanted the picture's size, "
+                f"{shape[1]} x {shape[0]}: remove it, or make it anew"
+            )
+        outside: BoolArray = mask.read(1) == 0
+        return outside
 
 
 def _stated_full_scale(dataset: Any) -> float | None:

@@ -15,7 +15,7 @@ from catalog.bodies.body import CatalogFrame, is_body_file
 from catalog.config import resource
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.camera.camera import Camera
-from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.estimation.adjustment import (
     AdjustedFrame,
     Adjustment,
@@ -175,8 +175,7 @@ def write_adjusted(
     _write_body(place, first, common)
     (place / CAMERAS).mkdir()
     for camera in cameras.values():
-        text = camera_toml(corrected_camera(camera, result.adjustment))
-        (place / CAMERAS / f"{camera.name}.toml").write_text(text, encoding="utf-8")
+        write_camera(place / CAMERAS, corrected_camera(camera, result.adjustment))
     known = [r.frame if r.frame.problem is None else _bare(r.frame) for r in rows]
     write_frames(place / FRAMES, first.attitude, known, cameras)
     results = iter(zip(result.adjustment.frames, stages, strict=True))

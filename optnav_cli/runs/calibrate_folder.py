@@ -24,7 +24,7 @@ from optnav_cli.calibration.motion import frame_motions
 from optnav_cli.calibration.separability import Direction, not_told_apart, tied_pairs
 from optnav_cli.calibration.settings import CalibrateSettings
 from optnav_cli.camera.camera import Camera
-from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.estimation.adjustment import AdjustedFrame, Adjustment, adjust
 from optnav_cli.estimation.models.common import Common, CommonNumber
 from optnav_cli.frames.folder import Folder, read_folder, write_folder
@@ -401,8 +401,7 @@ def write_calibration(
     """Fill the folder but for its manifest."""
     (place / CAMERAS).mkdir()
     for camera in result.cameras.values():
-        text = camera_toml(corrected_camera(camera, result.adjustment))
-        (place / CAMERAS / f"{camera.name}.toml").write_text(text, encoding="utf-8")
+        write_camera(place / CAMERAS, corrected_camera(camera, result.adjustment))
     (place / CALIBRATION_JSON).write_text(json_text(result.document()) + "\n", encoding="utf-8")
     cells: list[dict[str, object]] = []
     solved = [row for row in rows if row.adjusted is not None]

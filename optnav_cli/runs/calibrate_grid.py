@@ -21,7 +21,7 @@ from optnav_cli.calibration.grid_calibration import (
 )
 from optnav_cli.calibration.separability import not_told_apart, tied_pairs
 from optnav_cli.camera.camera import Camera
-from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.tables import CALIBRATION_RESIDUALS
@@ -269,7 +269,7 @@ def _write(place: Path, result: GridResult) -> None:
     """Fill the folder but for its manifest."""
     found, camera = result.found, result.found.camera
     (place / CAMERAS).mkdir()
-    (place / CAMERAS / f"{camera.name}.toml").write_text(camera_toml(camera), encoding="utf-8")
+    write_camera(place / CAMERAS, camera)
     (place / CALIBRATION_JSON).write_text(json_text(result.document()) + "\n", encoding="utf-8")
     cells: list[dict[str, object]] = []
     for name, dots, before, after in zip(

@@ -150,7 +150,7 @@ class _Importer:
         if known != camera:  # another part of the same camera's picture
             camera = replace(camera, name=f"{camera.name}_{len(self._cameras)}")
         maker = FrameMaker(table, camera.name, motion, self._kernels)
-        flipped, said = is_flipped(source, table, upside_down)
+        flipped, said = is_flipped(source, table, upside_down, own_picture)
         copied = picture.suffix.lower() in COPIED and not flipped
         file = picture.name if copied else f"{picture.stem}.tif"
         if file in self._frames:

@@ -26,10 +26,11 @@ from optnav_cli.frames.label_pixels import (
     stated_specials,
 )
 from optnav_cli.frames.pds3_picture import read_pds3_pixels
-from optnav_cli.frames.raster_pixels import FULL_SCALE, read_raster, without_special
+from optnav_cli.frames.raster_pixels import FULL_SCALE, mask_beside, read_raster, without_special
 from optnav_cli.frames.stored_pixels import StoredPixels
 from optnav_cli.runs.import_source import ImportSource
 
+VIEWED = (".png", ".jpg", ".jpeg")  # made to be looked at, their first line uppermost
 COPIED = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm")
 # Brightness as I/F is far below 1, where a navigator that thinks in counts sees nothing.
 HIGHEST = 60_000.0
@@ -65,6 +66,8 @@ def put_picture(
     if picture.suffix.lower() in COPIED and not flipped:
         _check_size(picture, _shape(picture), camera)
         shutil.copyfile(picture, place)
+        if mask_beside(picture).is_file():
+            shutil.copyfile(mask_beside(picture), mask_beside(place))
         return []
     named = stated_keywords(source.text, coded=camera.coding is not None)
     remarks = check_keywords(source.path, named, KEYWORDS)
@@ -118,16 +121,22 @@ def _rescaled(
 
 
 def is_flipped(
-    source: ImportSource, table: ImportTable, upside_down: bool
+    source: ImportSource, table: ImportTable, upside_down: bool, own: Path | None = None
 ) -> tuple[bool, list[str]]:
     """Tell whether the rows change their order, and the remark where only the label says so.
 
     upside_down  whether a cube's own camera has its lines from below
+    own          a picture that the user names in place of the label's
     """
     if upside_down:
         note = "by TRANSX and TRANSY its lines run from the bottom up: its rows are turned over"
         return True, [f"{source.path.name}: {note}"]
     stated = is_bottom_first(source.text)
+    if own is not None and own.suffix.lower() in VIEWED:
+        turned = table.line_order == "bottom_first" or stated
+        note = "its first line is taken for the uppermost; the order of lines that the table or "
+        note += "the label states is that of the archive's own picture"
+        return False, [f"{own.name}: {note}"] if turned else []
     if table.line_order == "label":
         return stated, []
     if table.line_order is None and stated:

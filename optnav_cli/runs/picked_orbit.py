@@ -14,7 +14,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from optnav_cli.camera.camera import Camera
-from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.fix import Fix, Method, Solution
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picked_points import POINTS_CSV
@@ -95,8 +95,7 @@ def write_calibrated(place: Path, fit: OrbitFit, cameras: Sequence[Camera | None
                 continue
             found = _scaled(camera, 1.0 / (1.0 + share), sigma)
             (place / CAMERAS).mkdir(exist_ok=True)
-            file = place / CAMERAS / f"{name}.toml"
-            file.write_text(camera_toml(found), encoding="utf-8")
+            write_camera(place / CAMERAS, found)
             lines.append(
                 f"{name}: focal length {found.focal_length_px:.6g} px, not "
                 f"{camera.focal_length_px:.6g}, to {100.0 * sigma:.2g} %; in {CAMERAS}/{name}.toml"

@@ -8,7 +8,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.epochs import tdb_s_after, utc_from_tdb_s
-from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.frames.run_settings import RUN_TOML
 from optnav_cli.frames.tables import CYLINDER_TRUTH, TIMES_AND_CAMERAS
 from optnav_cli.simulation.cylinder_picture import draw_cylinder, source_glare
@@ -56,9 +56,7 @@ class CylinderSimulation(Simulation):
         text += f"light_half_width_deg = {one.surface.light_half_width_deg!r}\n"
         (folder / RUN_TOML).write_text(text, encoding="utf-8")
         (folder / "cameras").mkdir(exist_ok=True)
-        (folder / "cameras" / f"{camera.name}.toml").write_text(
-            camera_toml(camera), encoding="utf-8"
-        )
+        write_camera(folder / "cameras", camera)
         times = [
             utc_from_tdb_s(float(time), 3)
             for time in tdb_s_after(one.start_utc, self._states[:, 0])

@@ -338,6 +338,28 @@ def test_a_mask_band_and_a_no_data_value_leave_pixels_without_a_value(tmp_path: 
         without(load_picture(tmp_path / f"{name}.tif", CAMERA), gap(), values)
 
 
+@pytest.mark.parametrize("suffix", ["png", "pgm", "tif"])
+def test_the_mask_that_gdal_keeps_beside_a_picture_is_read(suffix: str, tmp_path: Path) -> None:
+    """Written by GDAL itself, of the dataset; one of another size or kind is refused."""
+    values = content()
+    path = tmp_path / f"a.{suffix}"
+    assert cv2.imwrite(str(path), values)
+    stored = load_picture(path, CAMERA).values
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+        file = rasterio.open(path, "r+")
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False), file:
+        file.write_mask(~gap())
+    assert (tmp_path / f"a.{suffix}.msk").exists()
+    without(load_picture(path, CAMERA), gap(), stored)
+    (tmp_path / f"a.{suffix}.msk").write_bytes(b"no mask")
+    with pytest.raises(DataError, match=rf"a\.{suffix}\.msk: cannot be opened"):
+        load_picture(path, CAMERA)
+    cv2.imwrite(str(tmp_path / "small.tif"), np.ones((5, 5), np.uint8))
+    (tmp_path / "small.tif").rename(tmp_path / f"a.{suffix}.msk")
+    with pytest.raises(DataError, match=r"the mask is 5 x 5; wanted the picture's size, 200 x 160"):
+        load_picture(path, CAMERA)
+
+
 def test_nan_and_what_lies_outside_the_usable_area_have_no_value(tmp_path: Path) -> None:
     values = content().astype(np.float32)
     holed = np.where(gap(), np.float32(np.nan), values)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -614,3 +615,51 @@ def test_lines_from_below_are_turned_where_the_table_says_so(tmp_path: Path) -> 
         np.testing.assert_array_equal(values, stored[::-1] if flipped else stored)
         said = any("is shown lowest" in remark for remark in imported.remarks)
         assert said == (order == "")
+
+
+@pytest.mark.parametrize(("suffix", "flipped"), [("png", False), ("jpg", False), ("tif", True)])
+def test_a_picture_to_look_at_has_its_first_line_uppermost(
+    tmp_path: Path, suffix: str, flipped: bool
+) -> None:
+    """A PNG or JPEG of --picture is not turned over with the archive's own pictures."""
+    path = made_pds3(tmp_path, LINE_DISPLAY_DIRECTION="UP")
+    stored = np.repeat(np.arange(40, 80, 10, dtype=np.uint8), 6).reshape(4, 6)
+    viewed = tmp_path / f"view.{suffix}"
+    cv2.imwrite(str(viewed), stored, [cv2.IMWRITE_JPEG_QUALITY, 100])
+    options = replace(options_of(path), pictures=(viewed,))
+    imported = import_folder([path], tmp_path / "out", options)
+    values = load_picture(
+        tmp_path / "out" / viewed.name, load_camera(tmp_path / "made.toml")
+    ).values
+    np.testing.assert_allclose(values, stored[::-1] if flipped else stored, atol=3)
+    said = any("its first line is taken for the uppermost" in r for r in imported.remarks)
+    assert said != flipped
+
+
+def test_a_mask_beside_a_picture_is_copied_with_it(tmp_path: Path) -> None:
+    path = made_pds3(tmp_path)
+    stored = np.arange(10, 34, dtype=np.uint8).reshape(4, 6)
+    viewed = tmp_path / "view.png"
+    cv2.imwrite(str(viewed), stored)
+    outside = np.where(stored < 13, 0, 255).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "mask.tif"), outside)
+    (tmp_path / "mask.tif").rename(tmp_path / "view.png.msk")
+    import_folder([path], tmp_path / "out", replace(options_of(path), pictures=(viewed,)))
+    picture = load_picture(tmp_path / "out/view.png", load_camera(tmp_path / "made.toml"))
+    np.testing.assert_array_equal(picture.valid, outside == 255)
+
+
+def test_an_imported_folder_with_a_mask_can_be_moved(tmp_path: Path) -> None:
+    path = made_pds3(tmp_path)
+    (tmp_path / "made.toml").write_text(CAMERA + 'valid_mask = "mask.png"\n')
+    outside = np.where(np.arange(24).reshape(4, 6) < 5, 0, 255).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "mask.png"), outside)
+    import_folder([path], tmp_path / "out", options_of(path))
+    assert str(tmp_path) not in (tmp_path / "out/cameras/made.toml").read_text()
+    (tmp_path / "out").rename(tmp_path / "moved")
+    (tmp_path / "mask.png").unlink()
+    camera = read_folder(tmp_path / "moved").cameras["made"]
+    picture = load_picture(tmp_path / "moved/a.tif", camera)
+    np.testing.assert_array_equal(picture.valid, outside == 255)
+    with pytest.raises(DataError, match=r"mask\.png: .*correct valid_mask"):
+        import_folder([path], tmp_path / "again", options_of(path))
