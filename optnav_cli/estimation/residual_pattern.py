@@ -8,6 +8,8 @@ its own sigma. A fit that takes some of the pattern away makes F smaller, so the
 upper bound.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.special import fdtrc
 
@@ -29,19 +31,10 @@ def pattern_probability(
 
     Returns 1 where there are too few to say.
     """
-    if not len(values):
+    parts = next(_parts(series, times, revolution_s), None)
+    if parts is None:
         return 1.0
-    since, width = times - times.min(), revolution_s / PARTS_OF_REVOLUTION
-    while True:
-        part = np.floor(since / width).astype(np.int64)
-        _, place = np.unique(np.stack([series, part], axis=1), axis=0, return_inverse=True)
-        place = place.ravel()
-        count = np.bincount(place)
-        if part.max() < MIN_PARTS - 1:
-            return 1.0
-        if len(values) >= MIN_IN_PART * len(count):
-            break
-        width *= 2.0
+    place, count = parts
     means = np.bincount(place, values) / count
     between = float((count * means**2).sum())
     within = float(((values - means[place]) ** 2).sum())
@@ -49,3 +42,43 @@ def pattern_probability(
     if freedom < 1:
         return 1.0
     return float(fdtrc(len(count), freedom, between / len(count) / max(within / freedom, 1.0)))
+
+
+def pattern_inflation(
+    values: FloatArray, series: IntArray, times: FloatArray, revolution_s: float
+) -> float:
+    """Compute how much larger a covariance is by errors that go together as the residuals do.
+
+    Means of n independent errors of one sigma have a variance of 1/n; the factor is the mean square
+    of such means times n, in the series and the length of parts where it is largest: what an orbit
+    is wrong by varies slowly, as they do. Arguments as of `pattern_probability`.
+
+    Returns the factor of the covariance, at least 1.
+    """
+    factor = 1.0
+    for place, count in _parts(series, times, revolution_s):
+        means = np.bincount(place, values) / count
+        of = np.zeros(len(count), np.int64)
+        of[place] = series
+        squares = np.bincount(of, count * means**2) / np.maximum(np.bincount(of), 1)
+        factor = max(factor, float(squares.max()))
+    return factor
+
+
+def _parts(
+    series: IntArray, times: FloatArray, revolution_s: float
+) -> Iterator[tuple[IntArray, IntArray]]:
+    """Number (n,) of the part and series of each residual, and their counts; longer parts next."""
+    if not len(times):
+        return
+    since, width = times - times.min(), revolution_s / PARTS_OF_REVOLUTION
+    while True:
+        part = np.floor(since / width).astype(np.int64)
+        if part.max() < MIN_PARTS - 1:
+            return
+        _, place = np.unique(np.stack([series, part], axis=1), axis=0, return_inverse=True)
+        place = place.ravel()
+        count = np.bincount(place)
+        if len(times) >= MIN_IN_PART * len(count):
+            yield place, count
+        width *= 2.0

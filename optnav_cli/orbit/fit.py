@@ -65,6 +65,7 @@ class OrbitFit:
     last_covariance  (6 + p, 6 + p) of the last state and the parameters, without what is local:
                   what predictions start from
     disturbances  (N-1, 6) of the intervals
+    inflation     factor in the covariances for residuals that follow a pattern; 1 without one
     """
 
     problem: OrbitProblem
@@ -77,6 +78,7 @@ class OrbitFit:
     degrees_of_freedom: int
     steps: int
     remarks: list[str]
+    inflation: float = 1.0
 
     @property
     def parameter_covariance(self) -> FloatArray:
@@ -200,9 +202,10 @@ def _fitted(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -
             break
         seen.add(used.tobytes())
         used = judged
-    remarks = check_pattern(problem, at, used, alone=False)
+    inflation, remarks = check_pattern(problem, at, used, alone=False)
     remarks += _judge(problem, found, residuals)
     covariances, width = with_considered(problem, at, found, used, solver), problem.width
+    covariances = inflation * covariances
     return OrbitFit(
         problem,
         at,
@@ -214,6 +217,7 @@ def _fitted(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -
         _freedom(problem, found),
         solver.steps,
         [*remarks, *unobserved_remarks(problem, covariances[-1, 6:width, 6:width])],
+        inflation,
     )
 
 
@@ -434,7 +438,7 @@ def densify(fit: OrbitFit, step_s: float) -> OrbitFit:
     solver = OrbitSolver(dense, "white")
     used = np.array([r.used for r in fit.residuals])
     at, found = solver.settle(Trajectory(states, fit.trajectory.parameters), used.astype(float))
-    covariances = with_considered(dense, at, found, used, solver)
+    covariances = fit.inflation * with_considered(dense, at, found, used, solver)
     return replace(
         fit,
         problem=dense,

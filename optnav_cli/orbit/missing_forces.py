@@ -6,6 +6,7 @@ with less than PATTERN_PROBABILITY, each force that the fit lacks is solved for 
 that mends the residuals is named. Third bodies (Sun, planet, the Earth's Moon) are in every fit.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,13 +18,15 @@ from catalog.arrays import BoolArray, FloatArray
 from catalog.errors import ConfigError, DataError, NoSolutionError
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.left_out import forces_left_out
-from optnav_cli.estimation.residual_pattern import pattern_probability
+from optnav_cli.estimation.residual_pattern import pattern_inflation, pattern_probability
 from optnav_cli.estimation.smoother import smooth
 from optnav_cli.orbit.problem import OrbitProblem, Trajectory
 from optnav_cli.orbit.settings import ParameterSettings
 
 # False alarms: a right fit is refused with this probability at most.
 PATTERN_PROBABILITY = 1e-6
+# Below it the covariance is inflated: of 200 right fits, 0.02 are by chance.
+INFLATED_PROBABILITY = 1e-4
 MENDING_PROBABILITY = 1e-6  # of as large a fall of chi-square by chance
 STEPS = 3  # of Gauss and Newton with a force more, from a fit that is near
 SUNLIGHT_SIGMA = 10.0  # m^2/kg: an open prior; sails have 0.2
@@ -32,11 +35,12 @@ ACCELERATION_SIGMA = 1e-3  # m/s^2
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """A fit with what is tried: trajectory, chi-square and the probability of its pattern."""
+    """A fit with what is tried: trajectory, chi-square, its pattern's probability and inflation."""
 
     at: Trajectory
     chi_square: float
     probability: float
+    inflation: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,29 +59,36 @@ class _Trial:
 
 def check_pattern(
     problem: OrbitProblem, at: Trajectory, used: BoolArray, *, alone: bool
-) -> list[str]:
-    """Check the residuals of a fit for a pattern along the arc; return remarks.
+) -> tuple[float, list[str]]:
+    """Check the residuals of a fit for a pattern along the arc.
 
     at     the trajectory that the fit found;  used  (n,) which measurements it rests on
     alone  whether each measurement errs for itself, so that a pattern refutes the fit whatever
            makes it; fixes of like ground may have one by themselves
 
+    Returns the factor of the covariance, 1 without a pattern, and remarks.
     Raises NoSolutionError for a pattern that a force left out mends, or any where `alone`.
     """
     open_problem = _with(problem, [])
     base = _solve(open_problem, _carried(problem, at, open_problem), used, 1)
-    if base.probability >= PATTERN_PROBABILITY:
-        return []
-    mends, forces = mending(problem, at, used, base)
+    if base.probability >= INFLATED_PROBABILITY:
+        return 1.0, []
     pattern = (
         f"the residuals of the {problem.measured} follow a pattern along the arc (chance makes it "
         f"with {base.probability:.1g})"
     )
+    inflated = (
+        f"{pattern}, so the orbit's sigmas are {math.sqrt(base.inflation):.3g} times those of "
+        "errors without one"
+    )
+    if base.probability >= PATTERN_PROBABILITY:
+        return (1.0, []) if alone else (base.inflation, [inflated])
+    mends, forces = mending(problem, at, used, base)
     if mends or alone:
         raise NoSolutionError(
             f"the residuals refute the fit: {pattern}, as a force left out does; {forces}"
         )
-    return [f"{pattern}, so the stated covariance may be too small: {forces}"]
+    return base.inflation, [f"{inflated}: {forces}"]
 
 
 def mending(
@@ -165,7 +176,9 @@ def _solve(problem: OrbitProblem, at: Trajectory, used: BoolArray, steps: int) -
         chi_square = found.chi_square + problem.left_over(at, weights)
         deltas = found.deviations[:, : problem.width, 0]
         at = Trajectory(at.states + deltas[:, :6], at.parameters + deltas[-1, 6:])
-    values, series, times = problem.standardised(at, found, used)
-    revolution = 2.0 * np.pi * problem.motion.radian_s(at.states[0, :3])
-    probability = pattern_probability(values, series, times, revolution)
-    return _Solved(at, chi_square, probability)
+    pattern = *problem.standardised(at, found, used), _revolution_s(problem, at)
+    return _Solved(at, chi_square, pattern_probability(*pattern), pattern_inflation(*pattern))
+
+
+def _revolution_s(problem: OrbitProblem, at: Trajectory) -> float:
+    return float(2.0 * np.pi * problem.motion.radian_s(at.states[0, :3]))

@@ -15,7 +15,7 @@ from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.dynamics.left_out import forces_left_out, gravity_remark, unknown_j2
 from optnav_cli.dynamics.orbit_settings import ForcesSettings, SunlightSettings
 from optnav_cli.main import run
-from optnav_cli.orbit.fit import fit_orbit
+from optnav_cli.orbit.fit import densify, fit_orbit
 from optnav_cli.orbit.missing_forces import _solve, check_pattern
 from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.problem import Trajectory
@@ -107,7 +107,48 @@ def test_right_fixes_get_no_remark():
     states = flown(ForcesSettings(degree=2))
     right = problem(fixes_of(TIMES[::5], states[::5]))
     at = Trajectory(states[::5], np.empty(0))
-    assert check_pattern(right, at, np.ones(len(right.fixes), bool), alone=False) == []
+    assert check_pattern(right, at, np.ones(len(right.fixes), bool), alone=False) == (1.0, [])
+
+
+def alike(times, states, seed, after_s=700.0, sigma_m=15.0):
+    """Fixes whose errors, of the stated size, go together over some minutes."""
+    rng, kept = np.random.default_rng(seed), np.exp(-(times[1] - times[0]) / after_s)
+    errors = rng.normal(size=(len(times), 3))
+    for k in range(1, len(times)):
+        errors[k] = kept * errors[k - 1] + np.sqrt(1.0 - kept**2) * errors[k]
+    fixes = fixes_of(times, states, sigma_m=0.0)
+    covariance = np.eye(3) * sigma_m**2
+    return [
+        replace(fix, position_m=fix.position_m + sigma_m * error, covariance_m2=covariance)
+        for fix, error in zip(fixes, errors, strict=True)
+    ]
+
+
+def test_a_pattern_that_no_force_mends_inflates_the_covariance():
+    """Without it the NEES a number would be 3.2."""
+    states, inflations, nees = flown(ForcesSettings(degree=2)), [], []
+    for seed in range(1, 6):
+        fit = fit_orbit(problem(alike(TIMES[::5], states[::5], seed)), "white", GATE)
+        off = fit.trajectory.states - states[::5]
+        pairs = zip(off[::10], fit.covariances[::10], strict=True)
+        nees.append(np.mean([d @ np.linalg.solve(c, d) for d, c in pairs]) / 6.0)
+        inflations.append(fit.inflation)
+        said = f"the orbit's sigmas are {np.sqrt(fit.inflation):.3g} times those of errors"
+        assert any(said in remark for remark in fit.remarks) == (fit.inflation > 1.0)
+        dense = densify(fit, 600.0)
+        np.testing.assert_allclose(dense.covariances[-1], fit.covariances[-1], rtol=0.02)
+    assert np.median(inflations) > 2.0
+    assert np.mean(np.array(nees) * inflations) > 2.0
+    assert 0.4 < np.mean(nees) < 2.0
+
+
+@pytest.mark.slow
+def test_of_200_right_fits_to_fixes_none_is_inflated():
+    states = flown(ForcesSettings(degree=2))[::5]
+    at, used = Trajectory(states, np.empty(0)), np.ones(len(states), bool)
+    for seed in range(200):
+        right = problem(fixes_of(TIMES[::5], states, seed=seed))
+        assert check_pattern(right, at, used, alone=False) == (1.0, [])
 
 
 def test_a_body_without_a_known_field_says_so_and_how_large_it_may_be():
