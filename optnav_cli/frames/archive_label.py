@@ -17,6 +17,7 @@ from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, check_input
 from catalog.keywords import MAX_SHOWN
 from catalog.special_values import read_number
+from optnav_cli.frames.fits_cards import CARD, read_cards
 from optnav_cli.frames.fits_picture import fits_headers
 from optnav_cli.frames.label_units import EXAMPLES, Quantity, find_unit, unit_of_comment
 from optnav_cli.frames.odl import OdlError, Statement, read_statements
@@ -29,7 +30,7 @@ Values = dict[str, tuple[str, ...]]
 
 MAX_LABEL = MEGABYTE
 MAX_NUMBER = 1e18  # km of a far star
-_BLOCK, _CARD = 2880, 80
+_BLOCK = 2880
 # Without these values stand for one that is missing (PDS Standards Reference 3.8, section 17.2).
 _NOT_STATED = ("", "-", "N/A", "NA", "UNK", "NULL", "NOT APPLICABLE", "NOT_APPLICABLE", "UNKNOWN")
 # An SFDU head goes before, or stands instead of, the version; NJPL is that of the first archives.
@@ -196,7 +197,7 @@ def _head(path: Path, size: int) -> bytes:
 
 def _header_bytes(path: Path, raw: bytes) -> int:
     """Where the header of a FITS file ends."""
-    for start in range(0, min(len(raw), MAX_LABEL), _CARD):
+    for start in range(0, min(len(raw), MAX_LABEL), CARD):
         if raw[start : start + 8] == b"END     ":
             return (start // _BLOCK + 1) * _BLOCK
     raise DataError(f"{path}: its FITS header has no end; get the file again")
@@ -208,17 +209,8 @@ def _fits_label(path: Path, raw: bytes) -> ArchiveLabel:
     doubled: set[str] = set()
     if not raw.startswith(b"SIMPLE  ="):
         raise DataError(f"{path}: is no FITS file")
-    for start in range(0, _header_bytes(path, raw), _CARD):
-        card = raw[start : start + _CARD].decode("latin-1")
-        if card[8:10] != "= ":
-            continue
-        key, text = card[:8].strip(), card[10:].strip()
-        quoted = re.match(r"'((?:[^']|'')*)'", text)
-        if quoted:
-            value, comment = quoted[1].replace("''", "'"), text[quoted.end() :].partition("/")[2]
-        else:
-            value, _, comment = text.partition("/")
-        texts = (value.strip(),)
+    for key, value, comment in read_cards(raw[: _header_bytes(path, raw)]):
+        texts = (value,)
         if values.setdefault(key, texts) != texts:
             doubled.add(key)
         elif unit := unit_of_comment(comment):

@@ -18,9 +18,10 @@ import numpy as np
 from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, check_input
 from catalog.keywords import Keyword, check_keywords
+from optnav_cli.frames.fits_cards import CARD, read_cards
 from optnav_cli.frames.stored_pixels import StoredPixels
 
-BLOCK, CARD = 2880, 80  # bytes
+BLOCK = 2880  # bytes
 MAX_BYTES = 256 * MEGABYTE  # of a picture
 MAX_HEADER = MEGABYTE
 MAX_UNITS = 1000
@@ -132,7 +133,9 @@ def fits_headers(path: Path, extension: str = "") -> bytes:
         return first.header + b"END".ljust(CARD)
     every = [first.header[at : at + CARD] for at in range(0, len(first.header), CARD)]
     # what both state is the picture's
-    others = [card for card in every[1:] if card[:8].decode("latin-1").strip() not in unit.cards]
+    others = [
+        card for card in every[1:] if not unit.cards.keys() & {c[0] for c in read_cards(card)}
+    ]
     return b"".join([every[0], unit.header, *others, b"END".ljust(CARD)])
 
 
@@ -230,14 +233,8 @@ def _header(path: Path, file: BinaryIO, number: int) -> bytes | None:
 
 def _cards(header: bytes) -> dict[str, str]:
     values: dict[str, str] = {}
-    for start in range(0, len(header), CARD):
-        card = header[start : start + CARD].decode("latin-1")
-        if card[8:10] != "= ":
-            continue
-        text = card[10:].strip()
-        quoted = re.match(r"'((?:[^']|'')*)'", text)
-        text = quoted[1].replace("''", "'") if quoted else text.partition("/")[0]
-        values.setdefault(card[:8].strip(), text.strip())
+    for key, text, _ in read_cards(header):
+        values.setdefault(key, text)
     return values
 
 

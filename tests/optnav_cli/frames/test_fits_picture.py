@@ -46,6 +46,60 @@ def written(path: Path, raw: bytes) -> Path:
     return path
 
 
+def header(*lines: str) -> bytes:
+    text = "".join(line.ljust(80) for line in (*lines, "END"))
+    return text.ljust(-(-len(text) // 2880) * 2880).encode()
+
+
+BYTES = ("BITPIX  =                    8", "NAXIS   =                    2")
+SIZES = ("NAXIS1  =                   40", "NAXIS2  =                   30")
+
+
+def test_long_texts_and_long_keywords_are_read_as_the_standard_has_them(tmp_path: Path) -> None:
+    """CONTINUE and HIERARCH as astropy writes both; a last & without a CONTINUE is a letter."""
+    raw = header(
+        "SIMPLE  =                    T",
+        *BYTES,
+        *SIZES,
+        "TARGET  = 'a very long name of a target that does not fit one card, so&'",
+        "CONTINUE  '  goes on with Dr. O''Neil&' / first comment",
+        "CONTINUE  ' etc.' / second",
+        "HIERARCH ESO TEL ALT = 12.5 / [deg] altitude",
+        "HIERARCH  ESO OBS NAME= 'M = 3 / x' / name",
+        "LAST    = 'A & B &'",
+    )
+    pixels = counts().astype("u1").tobytes()
+    path = written(tmp_path / "a.fits", raw + pixels)
+    label = read_label(path, "fits")
+    wanted = "a very long name of a target that does not fit one card, so  goes on with "
+    assert label.text("TARGET") == wanted + "Dr. O'Neil etc."
+    assert label.numbers(("ESO TEL ALT",), "angle")[0] == pytest.approx(np.radians(12.5))
+    assert label.text("ESO OBS NAME") == "M = 3 / x"
+    assert label.text("LAST") == "A & B &"
+    np.testing.assert_array_equal(load_picture(path, CAMERA).values, counts())
+
+
+def test_of_a_keyword_of_words_in_two_headers_the_picture_s_counts(tmp_path: Path) -> None:
+    first = header(
+        "SIMPLE  =                    T",
+        "BITPIX  =                    8",
+        "NAXIS   =                    0",
+        "HIERARCH ESO DET GAIN = 1",
+        "HIERARCH ESO TEL ALT = 7",
+    )
+    second = header(
+        "XTENSION= 'IMAGE   '",
+        *BYTES,
+        *SIZES,
+        "PCOUNT  =                    0",
+        "GCOUNT  =                    1",
+        "HIERARCH ESO DET GAIN = 2",
+    )
+    pixels = counts().astype("u1").tobytes()
+    label = read_label(written(tmp_path / "a.fits", first + second + pixels), "fits")
+    assert (label.text("ESO DET GAIN"), label.text("ESO TEL ALT")) == ("2", "7")
+
+
 @pytest.mark.parametrize("kind", ["u1", "i2", "i4", "i8", "f4", "f8"])
 def test_a_folder_s_picture_may_be_fits_of_any_type(kind: str, tmp_path: Path) -> None:
     path = written(tmp_path / "a.fits", image(counts().astype(kind)))
