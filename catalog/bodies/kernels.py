@@ -44,6 +44,12 @@ MAX_KM = 1e12
 _DATA = re.compile(rb"^[ \t]*\\begindata[ \t\r]*$(.*?)(?:^[ \t]*\\begintext|\Z)", re.M | re.S)
 _QUOTED = re.compile(rb"'[^'\n]*'")
 _OTHER_KERNELS = re.compile(rb"KERNELS_TO_LOAD\s*\+?=", re.I)
+# What an instrument kernel (IK) states of a camera: NAIF's and ISIS's names.
+_INSTRUMENT = re.compile(
+    rb"^[ \t]*(INS-?[0-9]+_(?:FOCAL_LENGTH|BORESIGHT|PIXEL_SIZE|PIXEL_PITCH|CCD_CENTER))"
+    rb"[ \t]*=[ \t]*(\([^)]*\)|[^\s]+)",
+    re.M,
+)
 _LOCK = threading.RLock()  # the toolkit is not safe to call from two threads
 
 
@@ -52,6 +58,7 @@ class KernelSet:
 
     orbits  first and last time, TDB s, of the orbits of bodies, by NAIF number
     turns   the same of the binary orientation kernels
+    cameras  what instrument kernels state of cameras, a line each: nothing here uses it
     Raises DataError for a kernel that is missing, cut short or no kernel, and where spiceypy is
     not installed.
     """
@@ -59,8 +66,12 @@ class KernelSet:
     _in_use: ClassVar[tuple[str, ...]] = ()  # files that the toolkit holds
 
     def __init__(self, paths: Sequence[Path]) -> None:
-        for path in paths:
-            _check_file(path.absolute())
+        texts = [_check_file(path.absolute()) for path in paths]
+        self.cameras = tuple(
+            f"{path.name}: {', '.join(stated)}"
+            for path, text in zip(paths, texts, strict=True)
+            if (stated := _stated_of_cameras(text))
+        )
         self.paths = tuple(str(path.resolve()) for path in paths)
         with self._loaded() as spice:
             self._orbits, self._turns = read_windows(spice, "SPK"), read_windows(spice, "PCK")
@@ -198,8 +209,20 @@ class KernelSet:
                 raise DataError(f"SPICE kernels ({self.names}): {text}; fetch them again") from None
 
 
-def _check_file(path: Path) -> None:
-    """Refuse what is no kernel or cut short: the toolkit itself loads both without a word."""
+def _stated_of_cameras(text: bytes) -> list[str]:
+    """What the text of a kernel states of cameras, as NAME = VALUE."""
+    found = []
+    for data in _DATA.findall(text):
+        for name, value in _INSTRUMENT.findall(data):
+            found.append(f"{name.decode()} = {' '.join(value.decode('latin-1').split())}")
+    return found
+
+
+def _check_file(path: Path) -> bytes:
+    """Refuse what is no kernel or cut short: the toolkit itself loads both without a word.
+
+    Returns the text, empty of a binary kernel.
+    """
     if len(str(path)) > _MAX_PATH:
         raise DataError(f"{path}: the path is longer than the {_MAX_PATH} letters of SPICE")
     size = check_input(path, "SPICE kernel")
@@ -228,3 +251,4 @@ def _check_file(path: Path) -> None:
                 f"{path}: the SPICE kernel is cut short: a parenthesis of its last data section "
                 "is not closed; fetch it again"
             )
+    return content

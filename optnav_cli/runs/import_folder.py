@@ -263,6 +263,8 @@ class _Importer:
         remarks += self._pixel_notes
         remarks += [f"contradiction: {doubt}" for doubt in self._doubts]
         remarks += [f"not known: {note}" for note in self._notes]
+        stated = () if self._kernels is None else self._kernels.cameras
+        remarks += [f"not used: {line}; cameras/ has the camera's file" for line in stated]
         count = "1 picture" if len(frames) == 1 else f"{len(frames)} pictures"
         return Imported(frames, [f"{output}: {count} of {self._body[1].body.name}", *remarks])
 

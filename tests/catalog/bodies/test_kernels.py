@@ -13,6 +13,19 @@ from catalog.bodies.kernels import KernelSet
 from catalog.errors import DataError
 
 
+def test_what_an_instrument_kernel_states_of_a_camera_is_kept(
+    kernels: list[Path], tmp_path: Path
+) -> None:
+    text = "KPL/IK\nINS-1_FOCAL_LENGTH = 7 in a comment\n\\begindata\n"
+    text += "INS-82360_FOCAL_LENGTH  = ( 2003.44 )\nINS-82360_BORESIGHT = (\n 0.0\n 0.0 1.0 )\n"
+    text += "INS-82360_FOV_SHAPE = 'RECTANGLE'\n\\begintext\nINS-2_PIXEL_SIZE = 3\n"
+    (tmp_path / "nac.ti").write_text(text)
+    found = KernelSet([*kernels[:3], tmp_path / "nac.ti"]).cameras
+    wanted = "INS-82360_FOCAL_LENGTH = ( 2003.44 ), INS-82360_BORESIGHT = ( 0.0 0.0 1.0 )"
+    assert found == (f"nac.ti: {wanted}",)
+    assert KernelSet(kernels[:3]).cameras == ()
+
+
 @pytest.mark.parametrize("share", [0.0, 0.0002, 0.5, 0.999])
 @pytest.mark.parametrize("index", [3, 4])
 def test_a_binary_kernel_cut_short_is_refused(

@@ -489,6 +489,16 @@ def test_a_row_of_a_list_of_times_is_named_by_its_line(kernels: list[Path], tmp_
         import_folder([tmp_path / "times.csv"], tmp_path / "out", options)
 
 
+def test_an_instrument_kernel_is_reported_as_not_used(kernels: list[Path], tmp_path: Path) -> None:
+    path = made_pds3(tmp_path)
+    text = "KPL/IK\n\\begindata\nINS-82360_FOCAL_LENGTH = 2003.44\n\\begintext\n"
+    (tmp_path / "nac.ti").write_text(text)
+    options = replace(options_of(path), kernels=(*kernels, tmp_path / "nac.ti"))
+    imported = import_folder([path], tmp_path / "out", options)
+    line = "not used: nac.ti: INS-82360_FOCAL_LENGTH = 2003.44; cameras/ has the camera's file"
+    assert imported.remarks.count(line) == 1
+
+
 def imported_picture(folder: Path, camera: str = "made.toml") -> Picture:
     return load_picture(folder / "out/a.tif", load_camera(folder / camera))
 
