@@ -178,10 +178,25 @@ def place_of(
     if abs(semi_major - semi_minor) > 1e-6 * semi_major:
         raise DataError(
             f"{path}: its coordinate system is on a flattened ellipsoid, of {semi_major:.10g} and "
-            f"{semi_minor:.10g} m; wanted planetocentric latitudes and heights above a sphere: "
-            "convert both (gdalwarp by itself leaves latitudes and heights as they are)"
+            f"{semi_minor:.10g} m, whose latitudes are geodetic; heights of {body.name} count from "
+            f"a sphere of {body.radius_m:.10g} m and latitudes from its centre: convert both with "
+            f"PROJ (gdalwarp by itself leaves them as they are): {_to_sphere(place, body)}"
         )
     return place
+
+
+def _to_sphere(place: Georeference, body: Body) -> str:
+    """The PROJ pipeline from degrees and heights on an ellipsoid to those on the body's sphere.
+
+    Through x, y, z, so that no approximation is in it.
+    """
+    semi_major, semi_minor = place.ellipsoid_m
+    return (
+        "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
+        f"+step +proj=cart +a={semi_major:.12g} +b={semi_minor:.12g} "
+        f"+step +inv +proj=cart +R={body.radius_m:.12g} "
+        "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
+    )
 
 
 class Conversion(NamedTuple):

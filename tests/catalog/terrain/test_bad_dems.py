@@ -4,14 +4,16 @@ import shutil
 import struct
 
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 
+from catalog.bodies.body import load_body
 from catalog.errors import DataError
-from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 
 
@@ -147,6 +149,40 @@ def test_a_map_of_the_earth_is_not_one_of_the_moon(tmp_path, dems, moon):
         tmp_path / "earth.tif", dems.smooth_grid(64).astype(np.float32), crs="EPSG:4326"
     )
     refused(path, moon, "6378.1 km", "moon has 1737.4 km")
+
+
+@pytest.mark.parametrize(
+    ("name", "crs", "axes"),
+    [
+        ("earth", "EPSG:4326", (6378137.0, 6356752.314245)),
+        ("earth", "EPSG:32633", (6378137.0, 6356752.314245)),
+        ("mars", "+proj=longlat +a=3396190 +rf=169.894447 +no_defs", (3396190.0, 3376200.0)),
+    ],
+)
+def test_a_map_on_an_ellipsoid_is_refused_with_the_way_to_the_body_s_sphere(
+    tmp_path, dems, name, crs, axes
+):
+    """The pipeline in the message is exact: geodetic latitudes by their formula in x, y, z."""
+    body = load_body(name)
+    degrees, metres = (0.01, 0.0, 12.0, 0.0, -0.01, 49.0), (1e2, 0.0, 4e5, 0.0, -1e2, 5.4e6)
+    affine = Affine(*(metres if crs == "EPSG:32633" else degrees))
+    heights = dems.smooth_grid(64).astype(np.float32)
+    path = dems.write(tmp_path / "flat.tif", heights, crs=crs, affine=affine)
+    with pytest.raises(
+        DataError, match="on a flattened ellipsoid.*latitudes are geodetic"
+    ) as error:
+        DemSource.open_alone(path, body)
+    pipeline = str(error.value).partition("+proj=pipeline")
+    lon, lat, height = pyproj.Transformer.from_pipeline("".join(pipeline[1:])).transform(
+        12.5, 48.7, 500.0
+    )
+    a, b = axes
+    phi, square = np.radians(48.7), (b / a) ** 2
+    normal = a / np.sqrt(1.0 - (1.0 - square) * np.sin(phi) ** 2)
+    across, up = (normal + 500.0) * np.cos(phi), (normal * square + 500.0) * np.sin(phi)
+    assert lon == pytest.approx(12.5, abs=1e-12)
+    assert lat == pytest.approx(np.degrees(np.arctan2(up, across)), abs=1e-9)
+    assert height == pytest.approx(np.hypot(across, up) - body.radius_m, abs=1e-3)
 
 
 def test_nothing_but_no_data(tmp_path, dems, moon):
