@@ -169,7 +169,7 @@ def test_a_map_on_an_ellipsoid_is_refused_with_the_way_to_the_body_s_sphere(
     heights = dems.smooth_grid(64).astype(np.float32)
     path = dems.write(tmp_path / "flat.tif", heights, crs=crs, affine=affine)
     with pytest.raises(
-        DataError, match="on a flattened ellipsoid.*latitudes are geodetic"
+        DataError, match=r"on a flattened ellipsoid.*latitudes are geodetic"
     ) as error:
         DemSource.open_alone(path, body)
     pipeline = str(error.value).partition("+proj=pipeline")
