@@ -20,13 +20,14 @@ from optnav_cli.estimation.smoother import LinearArc, SmoothedArc, nuisance, smo
 from optnav_cli.orbit.first import first_orbit
 from optnav_cli.orbit.missing_forces import check_pattern, mending
 from optnav_cli.orbit.problem import OrbitProblem, Trajectory
-from optnav_cli.orbit.settings import PRIOR_SIGMAS, NoiseModel
+from optnav_cli.orbit.settings import NoiseModel
 from optnav_cli.orbit.time_errors import (
     are_whole_seconds,
     lie_within_half_a_second,
     with_time_errors,
     with_whole_seconds,
 )
+from optnav_cli.orbit.unobserved import unobserved_remarks
 from optnav_cli.orbit.verdict import MEDIAN_OF_3, FitVerdict
 
 MAX_STEPS, MAX_ROUNDS = 30, 40
@@ -38,8 +39,6 @@ ROBUST_STEPS, ROBUST_CHI_SQUARE = 8, 25.0
 DOUBTED = 0.05  # weight below which a fix starts the last fit left out
 SWAMPED = 0.3  # of the largest chi-square: what the worst fix may have caused in others
 SHOCK_PROBABILITY = 1e-9
-UNOBSERVED = 0.9  # of the prior's sigma
-AXES_OF = {"vertical": "NB"}  # of parameters of which one axis may be open and another not
 MIN_FIXES = 3
 MAX_BETWEEN = 100_000
 # A field and its noise say nothing of a place after so long, and minutes would go into the way.
@@ -204,19 +203,21 @@ def _fitted(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -
         used = judged
     inflation, remarks = check_pattern(problem, at, used, alone=False)
     remarks += _judge(problem, found, residuals)
-    covariances, width = with_considered(problem, at, found, used, solver), problem.width
-    covariances = inflation * covariances
+    covariances = inflation * with_considered(problem, at, found, used, solver)
     return OrbitFit(
         problem,
         at,
         covariances[:, :6, :6] + problem.motion.local(at.states),
-        covariances[-1, :width, :width],
+        covariances[-1, : problem.width, : problem.width],
         found.disturbances[:, :6, 0],
         residuals,
         found.chi_square,
         _freedom(problem, found),
         solver.steps,
-        [*remarks, *unobserved_remarks(problem, covariances[-1, 6:width, 6:width])],
+        [
+            *remarks,
+            *unobserved_remarks(problem, covariances[-1, 6 : problem.width, 6 : problem.width]),
+        ],
         inflation,
     )
 
@@ -446,30 +447,6 @@ def densify(fit: OrbitFit, step_s: float) -> OrbitFit:
         covariances=covariances[:, :6, :6] + problem.motion.local(at.states),
         last_covariance=covariances[-1, : dense.width, : dense.width],
     )
-
-
-def unobserved_remarks(problem: OrbitProblem, covariance: FloatArray) -> list[str]:
-    """What the measurements do not tell, in words."""
-    remarks = []
-    for parameter in problem.estimated:
-        sigmas = np.sqrt(np.diag(covariance)[parameter.span])
-        left = sigmas / np.sqrt(np.diag(parameter.covariance))
-        axes = AXES_OF.get(parameter.name, "")
-        whose = parameter.settings.label
-        # an arc of thrust is known before: there is nothing to say where the fixes add nothing
-        if parameter.name not in PRIOR_SIGMAS or not (left > UNOBSERVED).any():
-            continue
-        if not (left > UNOBSERVED).all():
-            if not axes:
-                continue
-            hidden = (axis for axis, share in zip(axes, left, strict=True) if share > UNOBSERVED)
-            whose += f" along {', '.join(hidden)}"
-        share = float(left[left > UNOBSERVED].min())
-        remarks.append(
-            f"{whose} is not observed: the measurements leave {100.0 * share:.0f} % of its prior "
-            "sigma"
-        )
-    return remarks
 
 
 def _utc(problem: OrbitProblem, node: int) -> str:

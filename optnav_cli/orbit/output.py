@@ -12,7 +12,7 @@ from catalog.bodies.epochs import utc_from_tdb_s
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Method, Solution
 from optnav_cli.frames.orbit_tables import AXES, DISTURBANCES, ORBIT_RESIDUALS
-from optnav_cli.orbit.fit import UNOBSERVED, OrbitFit
+from optnav_cli.orbit.fit import OrbitFit
 from optnav_cli.orbit.folder import (
     DISTURBANCES_CSV,
     ORBIT_CSV,
@@ -32,6 +32,7 @@ from optnav_cli.orbit.folder import (
 from optnav_cli.orbit.motion import rnb_of
 from optnav_cli.orbit.oem import Oem, write_oem
 from optnav_cli.orbit.settings import UNITS, OrbitFitSettings
+from optnav_cli.orbit.unobserved import UNOBSERVED
 from optnav_cli.output.recording import Recording
 from optnav_cli.output.wording import length, table_lines
 

@@ -20,13 +20,13 @@ from optnav_cli.orbit.fit import (
     WINDOWS_RAD,
     OrbitFit,
     OrbitSolver,
-    unobserved_remarks,
     with_considered,
 )
 from optnav_cli.orbit.missing_forces import check_pattern
 from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.problem import OrbitPrior, Trajectory
 from optnav_cli.orbit.settings import ParameterSettings
+from optnav_cli.orbit.unobserved import unobserved_remarks
 from optnav_cli.orbit.verdict import MAX_SCATTER, MEDIAN_OF_1, FitVerdict
 from optnav_cli.orbit.zenith import ZenithSights
 from optnav_cli.orbit.zenith_problem import ZenithProblem

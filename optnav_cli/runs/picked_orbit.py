@@ -19,8 +19,9 @@ from optnav_cli.fix import Fix, Method, Solution
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picked_points import POINTS_CSV
 from optnav_cli.navigation.picked_points import PickedFrames
-from optnav_cli.orbit.fit import UNOBSERVED, OrbitFit
+from optnav_cli.orbit.fit import OrbitFit
 from optnav_cli.orbit.settings import OrbitFitSettings, ParameterSettings
+from optnav_cli.orbit.unobserved import UNOBSERVED
 from optnav_cli.output.run_folder import CAMERAS, RunFolder
 
 
