@@ -214,10 +214,7 @@ def _fitted(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -
         found.chi_square,
         _freedom(problem, found),
         solver.steps,
-        [
-            *remarks,
-            *unobserved_remarks(problem, covariances[-1, 6 : problem.width, 6 : problem.width]),
-        ],
+        [*remarks, *unobserved_remarks(problem, covariances[-1, 6:, 6:])],
         inflation,
     )
 

@@ -294,7 +294,9 @@ def masked(place: Place) -> Case:
     if rng.random() < 0.7:
         gap[:] = False
         gap[rng.randrange(SIDE_PX) :, rng.randrange(SIDE_PX) :] = True
-    how = rng.choice(("mask", "alpha", "nodata", "constant", "area", "mask picture", "all"))
+    how = rng.choice(
+        ("mask", "alpha", "nodata", "constant", "area", "mask picture", "all", "beside")
+    )
     path = place.folder / "pictures/frame_0000.png"
     profile = {"driver": "GTiff", "dtype": "uint8", "count": 1, "width": SIDE_PX, "height": SIDE_PX}
     if how == "all":
@@ -316,6 +318,13 @@ def masked(place: Place) -> Case:
             file.write(np.stack(bands))
             if how in ("mask", "all"):
                 file.write_mask(~gap)
+        if how == "beside":
+            with rasterio.open(f"{path}.msk", "w", **profile) as file:
+                file.write(np.where(gap, 0, 255).astype(np.uint8), 1)
+    if how == "beside" and rng.random() < 0.6:
+        changed, note = damaged(path.with_name(f"{path.name}.msk").read_bytes(), rng)
+        place.write("pictures/frame_0000.png.msk", changed)
+        return _navigate(OPEN - {DATA}, f"{how}: {note}")
     if how in ("area", "mask picture"):
         key = f"valid_area_px = {[rng.randrange(-1, SIDE_PX + 2) for _ in range(4)]}\n"
         if how == "mask picture":
@@ -361,6 +370,13 @@ FITS_CARDS = (
     *("BSCALE  = 2.0", "BSCALE  = 0", "BSCALE  = x", "BZERO   = 32768", "BZERO   = 1E300"),
     *("BLANK   = 0", "BLANK   = 7", "ZIMAGE  = T", "BAYERPAT= 'RGGB'", "ROWORDER= 'BOTTOM-UP'"),
     *("ROWORDER= 'x'", "SATURATE= 200", "GROUPS  = T", "PCOUNT  = 99999999999", "GCOUNT  = 0"),
+    *(
+        "CONTINUE  'x&'",
+        "HIERARCH ESO TEL ALT = 1",
+        "HIERARCH = '&'",
+        "OBJECT  = 'a&'",
+        "CONTINUE  &",
+    ),
     *("NAXIS1  = 99999999", "NAXIS   = 3", "NAXIS   = 999", "BITPIX  = 12", "BITPIX  = -64"),
 )
 
