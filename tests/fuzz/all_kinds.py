@@ -15,6 +15,7 @@ from tests.fuzz.kinds import (
     pictures,
     places,
     rasters,
+    readers,
     runs,
     sights,
     surroundings,
@@ -23,5 +24,5 @@ from tests.fuzz.kinds import (
 
 MODULES = (
     catalogs, command_lines, configs, designs, faults, kernels, labels, landings, map_words, meshes,
-    orbits, pictures, places, rasters, runs, sights, surroundings, tables,
+    orbits, pictures, places, rasters, readers, runs, sights, surroundings, tables,
 )  # fmt: skip

@@ -80,15 +80,19 @@ def folder(place: Place) -> Case:
 def oem(place: Place) -> Case:
     """A fit with a damaged OEM as its prior, or with a keyword of it changed, added or away."""
     place.take("flown")
-    data = place.material("orbit/orbit.oem")
-    if place.rng.random() < 0.4:
-        data, note = damaged(data, place.rng)
-    else:
-        data, note = _keyword_changed(data, place)
+    data, note = changed_oem(place)
     place.write("prior.oem", data)
     sigmas = "position_sigma_m = 1000\nvelocity_sigma_m_s = 1\n" * (place.rng.random() < 0.3)
     place.write("orbit.toml", f'[forces]\ndegree = 2\n[[prior]]\noem = "prior.oem"\n{sigmas}')
     return Case((*FIT, "-o", "new"), OPEN, "new", note=note)
+
+
+def changed_oem(place: Place) -> tuple[bytes, str]:
+    """An OEM that is damaged or has a keyword changed, and what was done."""
+    data = place.material("orbit/orbit.oem")
+    if place.rng.random() < 0.4:
+        return damaged(data, place.rng)
+    return _keyword_changed(data, place)
 
 
 def _keyword_changed(data: bytes, place: Place) -> tuple[bytes, str]:
