@@ -19,11 +19,11 @@ Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 class Coding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """How counts are coded.
 
-    curve   "square": light grows by the square of the counts;  "gamma": by their power `gamma`;
-            "table": as `counts` and `linear` say, straight lines between
+    curve   "linear": as light;  "square": light grows by the square of the counts;  "gamma": by
+            their power `gamma`;  "table": as `counts` and `linear` say, straight lines between
     """
 
-    curve: Literal["square", "gamma", "table"]
+    curve: Literal["linear", "square", "gamma", "table"]
     gamma: Annotated[float, msgspec.Meta(ge=0.1, le=10.0)] | None = None
     counts: tuple[Number, ...] = ()
     linear: tuple[Number, ...] = ()
@@ -51,7 +51,7 @@ class Coding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
         if self.curve == "table":
             decoded: FloatArray = np.interp(values, self.counts, self.linear)
             return decoded
-        power = 2.0 if self.gamma is None else self.gamma
+        power = self.gamma or (1.0 if self.curve == "linear" else 2.0)
         share = np.maximum(np.asarray(values, np.float64), 0.0) / full
         powered: FloatArray = full * share**power
         return powered

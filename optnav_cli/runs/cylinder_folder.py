@@ -17,7 +17,6 @@ from catalog.files import replacing_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.camera.camera import Camera
-from optnav_cli.camera.coding import Coding
 from optnav_cli.frames.cylinder_folder import (
     CylinderFolder,
     CylinderRunSettings,
@@ -34,6 +33,7 @@ from optnav_cli.measurements.cylinder import (
     seed_distance_and_angle,
 )
 from optnav_cli.measurements.cylinder_fit import CylinderFit, IdealLens, fit_cylinder
+from optnav_cli.measurements.cylinder_gamma import fit_coded_cylinder
 from optnav_cli.measurements.cylinder_profile import CylinderProfile, measure_profile, seed_extent
 from optnav_cli.measurements.cylinder_series import series_places, series_velocity
 from optnav_cli.output.cylinder_overlay import cylinder_overlay
@@ -50,8 +50,6 @@ MAX_SIGMA_DEG = 15.0  # beyond it the angle is no number to trust
 MAX_CUT_SIGMA_DEG = 6.0  # where a limb is cut other angles may fit as well, 70 deg off
 GLARE_SHARE = 0.002  # of the pixels at full scale
 MAX_STEP_S = 60.0  # between pictures that a velocity is taken from
-SCREEN = Coding("gamma", 2.2)  # of pictures for screens
-EIGHT_BITS = 255.0
 
 _log = logging.getLogger(__name__)
 
@@ -60,7 +58,8 @@ _log = logging.getLogger(__name__)
 class CylinderRow:
     """A row of cylinder.csv; d m, theta and bearing deg; velocity m/s towards the light, across.
 
-    fit  of a solved row, from which velocities are taken
+    fit    of a solved row, from which velocities are taken
+    gamma  of the counts and its sigma, of a solved row of a camera without a stated coding
     """
 
     frame: Frame
@@ -73,6 +72,7 @@ class CylinderRow:
     velocity: tuple[float, float, float] | None = None
     reason: str = ""
     fit: CylinderFit | None = None
+    gamma: tuple[float, float] | None = None
 
     def cells(self) -> dict[str, object]:
         """The row as the file has it."""
@@ -126,7 +126,7 @@ def cylinder_folder(
                 results={"pictures": len(rows), "solved": solved},
                 started=started,
             )
-    _remark_on_coding(read, rows)
+    _remark_on_gamma(read, rows)
     if not solved:
         raise NothingToDoError(
             f"{folder}: no picture gives a distance; the first says: {rows[0].reason}"
@@ -134,32 +134,20 @@ def cylinder_folder(
     return rows
 
 
-def _remark_on_coding(folder: CylinderFolder, rows: Sequence[CylinderRow]) -> None:
-    """Say once, of 8-bit pictures without a stated coding, what a gamma would do to distances.
-
-    The profile does not show it: a cloth that departs from Lambert's law looks the same.
-    """
-    row = next((row for row in rows if row.fit is not None), None)
-    camera = None if row is None else folder.cameras[row.frame.camera]
-    if row is None or row.fit is None or camera is None or camera.coding is not None:
-        return
-    settings = folder.settings
-    size, lens = CylinderSize(settings.radius_m, settings.height_m), ideal_lens(camera)
-    try:
-        picture = frame_picture(folder.path, row.frame.file, camera)
-        if picture.saturation != EIGHT_BITS:
-            return
-        linear = SCREEN.decode(rectified(picture.values, camera), EIGHT_BITS).astype(np.float32)
-        other = fit_cylinder(measure_profile(linear, picture.saturation), lens, size)
-    except (DataError, NoSolutionError):
-        return
-    off_mm = 1e3 * (other.distance_m - row.fit.distance_m)
-    _log.warning(
-        "camera %s states no [coding]: if its counts have a gamma of 2.2, as pictures for screens, "
-        "distances are off by %.1f mm, more than their sigma says; state it in the camera file "
-        '([coding] curve = "gamma", gamma = 2.2; 1.0 for counts linear in light)',
-        camera.name, -off_mm,
-    )  # fmt: skip
+def _remark_on_gamma(folder: CylinderFolder, rows: Sequence[CylinderRow]) -> None:
+    """Report once per camera the gamma that was estimated for want of a stated coding."""
+    for name in folder.cameras:
+        gammas = [row.gamma for row in rows if row.gamma and row.frame.camera == name]
+        if not gammas:
+            continue
+        gamma, sigma = np.median(np.array(gammas), axis=0)
+        _log.warning(
+            "camera %s states no [coding]: the gamma of its counts is an unknown of each picture, "
+            "%.2f at a sigma of %.2f in the middle, and most of what sigmas hold; state it in the "
+            'camera file for errors of a tenth ([coding] curve = "linear" for counts linear in '
+            'light, or curve = "gamma", gamma = 2.2)',
+            name, gamma, sigma,
+        )  # fmt: skip
 
 
 def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Path) -> CylinderRow:
@@ -188,8 +176,8 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
             text = "neither its height nor its width is whole, which leaves the distance open"
             raise NoSolutionError(text, ReasonCode.OUTSIDE_FRAME)
         else:
-            fit = fit_cylinder(profile, lens, size)
-            row = _row(frame, fit, profile.cut, camera, settings)
+            fit, gamma = _fitted(values, picture.saturation, camera, profile, size)
+            row = replace(_row(frame, fit, profile.cut, camera, settings), gamma=gamma)
             if picture.remarks:
                 row = replace(row, reason=_joined(row.reason, "; ".join(picture.remarks)))
             if row.zone == "cut" and _is_dazzled(values, picture.saturation):
@@ -202,6 +190,20 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
     drawn = cylinder_overlay(values, fit, lens, size, f"{words} {row.zone}")
     overlay_path(place / "overlays", frame.file).write_bytes(drawn)
     return row
+
+
+def _fitted(
+    values: Float32Array,
+    saturation: float | None,
+    camera: Camera,
+    profile: CylinderProfile,
+    size: CylinderSize,
+) -> tuple[CylinderFit, tuple[float, float] | None]:
+    """Fit a picture; where no coding is stated, gamma with its sigma too."""
+    if camera.coding is not None:
+        return fit_cylinder(profile, ideal_lens(camera), size), None
+    coded = fit_coded_cylinder(values, saturation, ideal_lens(camera), size)
+    return coded.fit, (coded.gamma, coded.gamma_sigma)
 
 
 def _check_gaps(gaps: BoolArray, profile: CylinderProfile) -> None:

@@ -1,6 +1,7 @@
 """The pictures of a [cylinder] scenario, and the tables that go with them."""
 
 import math
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.epochs import tdb_s_after, utc_from_tdb_s
 from optnav_cli.camera.camera_file import write_camera
+from optnav_cli.camera.coding import Coding
 from optnav_cli.frames.run_settings import RUN_TOML
 from optnav_cli.frames.tables import CYLINDER_TRUTH, TIMES_AND_CAMERAS
 from optnav_cli.simulation.cylinder_picture import draw_cylinder, source_glare
@@ -56,7 +58,7 @@ class CylinderSimulation(Simulation):
         text += f"light_half_width_deg = {one.surface.light_half_width_deg!r}\n"
         (folder / RUN_TOML).write_text(text, encoding="utf-8")
         (folder / "cameras").mkdir(exist_ok=True)
-        write_camera(folder / "cameras", camera)
+        write_camera(folder / "cameras", replace(camera, coding=Coding("linear")))
         times = [
             utc_from_tdb_s(float(time), 3)
             for time in tdb_s_after(one.start_utc, self._states[:, 0])

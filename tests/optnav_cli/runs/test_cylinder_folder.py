@@ -142,8 +142,10 @@ def test_a_craft_inside_the_cylinder_is_refused() -> None:
 
 
 def coded(pictures: Path, place: Path) -> Path:
-    """The same pictures in 8 bits as screens have them: gamma 2.2."""
+    """The same pictures in 8 bits as screens have them, gamma 2.2, by a camera that states none."""
     shutil.copytree(pictures, place)
+    for path in (place / "cameras").glob("*.toml"):
+        path.write_text(path.read_text().replace('\n[coding]\ncurve = "linear"\n', ""))
     stored = {path: cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in place.glob("*.png")}
     full = 1.05 * max(float(values.max()) for values in stored.values())
     for path, values in stored.items():
@@ -158,16 +160,53 @@ def distance_errors(run_folder: Path, truth: Path) -> tuple[np.ndarray, np.ndarr
     return off, np.array([row.number("d_sigma_m") for row in rows]), [r["reason"] for r in rows]
 
 
-def test_what_a_gamma_would_do_is_said_of_pictures_without_a_coding(
+def assert_truth_within_sigmas(run_folder: Path, truth: Path) -> None:
+    off, sigma, _ = distance_errors(run_folder, truth)
+    assert len(off) == 3
+    assert (np.abs(off) < 3.0 * sigma).all()
+
+
+def test_gamma_is_an_unknown_where_no_coding_is_stated(
     pictures: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Taken for linear, distances are 9 mm short at a stated 0.2 mm."""
     folder = coded(pictures, tmp_path / "coded")
     with caplog.at_level(logging.WARNING):
         assert run(["cylinder", str(folder), "-o", str(tmp_path / "out")]) == 0
+    assert_truth_within_sigmas(tmp_path / "out", pictures / "truth.csv")
     off, _, _ = distance_errors(tmp_path / "out", pictures / "truth.csv")
-    (words,) = re.findall(r"states no \[coding\].* off by (-?[0-9.]+) mm", caplog.text)
-    assert float(words) == pytest.approx(1e3 * off[0], abs=1.0)
+    assert np.abs(off).max() < 4e-3
+    (words,) = re.findall(r"states no \[coding\].* ([0-9.]+) at a sigma", caplog.text)
+    assert float(words) == pytest.approx(2.2, abs=0.4)
+
+
+def test_linear_counts_of_an_unstated_coding_have_wider_sigmas(
+    pictures: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "unstated"
+    shutil.copytree(pictures, folder)
+    (camera,) = (folder / "cameras").glob("*.toml")
+    assert 'curve = "linear"' in camera.read_text()
+    cylinder_folder(folder, tmp_path / "stated", "fit", SilentProgress())
+    camera.write_text(camera.read_text().replace('[coding]\ncurve = "linear"\n', ""))
+    cylinder_folder(folder, tmp_path / "out", "fit", SilentProgress())
+    assert_truth_within_sigmas(tmp_path / "out", pictures / "truth.csv")
+    _, stated, _ = distance_errors(tmp_path / "stated", pictures / "truth.csv")
+    _, wide, _ = distance_errors(tmp_path / "out", pictures / "truth.csv")
+    assert (stated < 5e-4).all()
+    assert (wide > 3.0 * stated).all()
+
+
+def test_colour_pictures_are_taken(pictures: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "colour"
+    shutil.copytree(pictures, folder)
+    for path in folder.glob("*.png"):
+        grey = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[..., None]
+        cv2.imwrite(str(path), np.rint(grey * np.array([0.7, 1.0, 0.85])).astype(np.uint8))
+    cylinder_folder(folder, tmp_path / "out", "fit", SilentProgress())
+    off, _, _ = distance_errors(tmp_path / "out", pictures / "truth.csv")
+    assert len(off) == 3
+    assert np.abs(off).max() < 1.5e-3
 
 
 def test_a_stated_coding_gives_the_distances_of_linear_counts(
