@@ -118,15 +118,19 @@ def _masked(dataset: Any) -> BoolArray:
     return masked
 
 
-def mask_beside(path: Path) -> Path:
-    """The file in which GDAL keeps the mask of a picture that cannot hold one."""
-    return path.with_name(f"{path.name}.msk")
+def mask_beside(path: Path) -> Path | None:
+    """The file in which GDAL keeps the mask of a picture that cannot hold one; None without it."""
+    name = f"{path.name}.msk"
+    try:
+        return path.with_name(name) if path.with_name(name).is_file() else None
+    except OSError:  # a name of 252 letters, to which no more can be added
+        return None
 
 
 def _masked_beside(path: Path, shape: tuple[int, int]) -> BoolArray:
     """Mark the pixels (h, w) where the mask beside a file is 0. Raises DataError for another's."""
     file = mask_beside(path)
-    if not file.is_file():
+    if file is None:
         return np.zeros((1, 1), np.bool_)
     with open_raster(file, OWN) as mask, reading_raster(file, siblings=False):
         if mask.shape != shape:

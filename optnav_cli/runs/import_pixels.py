@@ -66,8 +66,9 @@ def put_picture(
     if picture.suffix.lower() in COPIED and not flipped:
         _check_size(picture, _shape(picture), camera)
         shutil.copyfile(picture, place)
-        if mask_beside(picture).is_file():
-            shutil.copyfile(mask_beside(picture), mask_beside(place))
+        mask = mask_beside(picture)
+        if mask is not None:
+            shutil.copyfile(mask, place.with_name(f"{place.name}.msk"))
         return []
     named = stated_keywords(source.text, coded=camera.coding is not None)
     remarks = check_keywords(source.path, named, KEYWORDS)

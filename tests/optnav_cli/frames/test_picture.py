@@ -360,6 +360,12 @@ def test_the_mask_that_gdal_keeps_beside_a_picture_is_read(suffix: str, tmp_path
         load_picture(path, CAMERA)
 
 
+def test_a_name_too_long_for_a_mask_beside_it_has_none(tmp_path: Path) -> None:
+    values = content()
+    path = saved(tmp_path / f"{'a' * 249}.png", values)
+    assert load_picture(path, CAMERA).valid is None
+
+
 def test_nan_and_what_lies_outside_the_usable_area_have_no_value(tmp_path: Path) -> None:
     values = content().astype(np.float32)
     holed = np.where(gap(), np.float32(np.nan), values)
