@@ -205,9 +205,9 @@ def match_point(
         scores = at.score, at.runner_up
         return PointMatch(level, reason, expected + shift, covariance, offset, *scores, part)
 
+    laid = laid_at(sampled, rendered, match), laid_at(pixels, rendered, match)
     smooth_too = blur_nodes or not gates.refuse_smooth
-    laid = None if smooth_too else laid_at(sampled, rendered, match)
-    found = _without_smooth(placed(match), laid, picture.count_step)
+    found = _without_smooth(placed(match), None if smooth_too else laid, picture.count_step)
     least = MIN_ALBEDO_POSTING_M if level else MIN_FINEST_ALBEDO_POSTING_M
     coarse = posting >= least and not (blur_nodes or plan.interim or plan.soft_nodes)
     if found.reason or not coarse or template is not rendered:
@@ -221,9 +221,14 @@ def match_point(
     return replace(found, albedo=AlbedoFit(lay, placed))
 
 
-def _without_smooth(found: PointMatch, patch: Float32Array | None, count_step: float) -> PointMatch:
-    """A match, refused where the picture shows no ground under the template and its margin."""
-    if found.reason or patch is None or shows_ground(patch, MARGIN_NODES, count_step):
+def _without_smooth(
+    found: PointMatch, laid: tuple[Float32Array, FloatArray] | None, count_step: float
+) -> PointMatch:
+    """A match, refused where the picture shows no ground under the template and its margin.
+
+    laid  what `shows_ground` takes: the picture and its pixels there; None: not to be asked
+    """
+    if found.reason or laid is None or shows_ground(*laid, MARGIN_NODES, count_step):
         return found
     return replace(found, reason=SMOOTH)
 

@@ -5,6 +5,7 @@ pass searches all points at the level that the present pose uncertainty allows, 
 pose before the next pass searches finer.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import compress
 
@@ -27,7 +28,7 @@ from optnav_cli.fix import (
     UnsolvedFrameError,
 )
 from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import MARGIN_NODES, PointMatch
+from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE, MARGIN_NODES, PointMatch
 from optnav_cli.navigation.control_points import acceptance
 from optnav_cli.navigation.control_points.error_model import footprints, own_shares
 from optnav_cli.navigation.control_points.expectation import (
@@ -38,6 +39,7 @@ from optnav_cli.navigation.control_points.expectation import (
     why_nothing_in_view,
 )
 from optnav_cli.navigation.control_points.field import ControlPointField
+from optnav_cli.navigation.control_points.proof import PROOF_NODES, drop_disproven
 from optnav_cli.navigation.control_points.solve import (
     accepted,
     agreeing_few,
@@ -201,7 +203,6 @@ def _rejection(
     searched_postings  of the first pass
     """
     searched = sum(match.score is not None for match in last.matches)
-    decades = _decades(frame, last, searched, searched_postings)
     parts = all(last.matches[k].part is not None for k in last.used)
     limits = acceptance.acceptance_limits()
     least, most = limits.decades.least, limits.scatter.points
@@ -209,7 +210,17 @@ def _rejection(
         near = searched_postings <= limits.chance.near_postings
         least = limits.decades.least_of_near_parts if near else limits.decades.least_of_parts
         most = limits.scatter.parts
+
+    def decades_of(some: list[int]) -> float:
+        return _decades(frame, last, some, searched, searched_postings)
+
+    decades, alike = decades_of(last.used), 0
+    if decades >= least:
+        kept = _proven(frame, last, decades_of, least)
+        decades, alike = decades_of(kept), len(last.used) - len(kept)
     reason = acceptance.rejection_of_matches(last.solution, decades, searched, least, most)
+    if alike and reason.code == ReasonCode.BY_CHANCE:
+        reason = reason.worded(f"{reason}: {alike} match as well elsewhere nearby")
     if parts:
         reason = reason or acceptance.rejection_of_parts(len(last.used))
     reason = reason or acceptance.rejection_of_light(_lights(frame, last))
@@ -217,10 +228,34 @@ def _rejection(
     return reason, GateMargins(decades - least, scatter)
 
 
-def _decades(frame: FrameContext, last: _Pass, searched: int, searched_postings: float) -> float:
-    """Powers of ten against chance for the points that a pass uses."""
-    whole = [k for k in last.used if last.matches[k].part is None]
-    used = [last.matches[k] for k in last.used]
+def _proven(
+    frame: FrameContext, last: _Pass, decades_of: Callable[[list[int]], float], least: float
+) -> list[int]:
+    """Used points without those that look alike elsewhere about the solved pose."""
+    solved = last.solution.covariance
+    covariance = np.pad(solved, (0, 6 - len(solved)))
+    search = search_from(frame, last.view, last.solution.pose, covariance)
+
+    def strength(k: int) -> float:
+        part, score = last.matches[k].part, last.matches[k].score or 0.0
+        if part is not None:
+            return score * float(np.sqrt(part.samples))
+        return score * _template_side(frame, last, k) / float(np.sqrt(CHANCE_NODES_PER_SAMPLE))
+
+    return drop_disproven(
+        lambda k: search.stands_alone(k, last.matches[k], PROOF_NODES),
+        sorted(last.used, key=strength, reverse=True),
+        decades_of,
+        least,
+    )
+
+
+def _decades(
+    frame: FrameContext, last: _Pass, some: list[int], searched: int, searched_postings: float
+) -> float:
+    """Powers of ten against chance for some points that a pass uses."""
+    whole = [k for k in some if last.matches[k].part is None]
+    used = [last.matches[k] for k in some]
     cut = [(match.score or 0.0, match.part) for match in used if match.part is not None]
     decades = 0.0
     if whole:

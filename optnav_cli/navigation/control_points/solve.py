@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.correlation.ncc import blur_nodes
+from catalog.correlation.ncc import blur_nodes, thinning
+from catalog.correlation.peak import RIVAL_DISTANCE
 from catalog.correlation.relief_albedo import ReliefAlbedo, frame_strengths
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.models.points import Pose, ProjectingCamera, Sightings, predict
@@ -116,22 +117,28 @@ class PointSearch:
         return self._made[key]
 
     def _matched(self, k: int, finest: int, coarser: bool) -> PointMatch:
-        frame, limits, index = self.frame, self.frame.settings.match, int(self.view.index[k])
-        reference = frame.points.reference(index)
-        if reference is None:
-            return PointMatch(0, DAMAGED)
         level, room = self.room(k, finest)
+        plan = self._plan(k, level, room, level > finest)
+        least = self.frame.settings.match.min_score
+        if not plan.blur_nodes:  # behind one a template has few samples, whatever its side
+            least = least_score(least, plan.template_nodes, coarser)
+        ratio = self.frame.settings.match.rival_ratio
+        return self._searched(k, plan, MatchGates(least, ratio, MIN_STRENGTH, refuse_smooth=True))
+
+    def _plan(self, k: int, level: int, room: int, interim: bool) -> SearchPlan:
         sample, known = float(self.view.metres_per_pixel[k]), float(self.known_m[k])
         posting = float(self._postings_m(k)[level])
-        template = frame.template_nodes(posting, sample, known)
-        away = np.linalg.norm(frame.points.xyz_m[index] - self.pose.position_m)
-        scale_sigma = self.height_sigma_m / float(away)
+        template = self.frame.template_nodes(posting, sample, known)
+        place = self.frame.points.xyz_m[int(self.view.index[k])]
+        scale_sigma = self.height_sigma_m / float(np.linalg.norm(place - self.pose.position_m))
         distortion = plan_distortion(template, self.roll_sigma, scale_sigma, DISTORTION_SIGMAS)
         blur = blur_nodes(posting, known)
-        least = limits.min_score
-        if not blur:  # behind one a template has few samples, whatever its side
-            least = least_score(least, template, coarser)
-        plan = SearchPlan(level, template, room, sample, distortion, blur, level > finest)
+        return SearchPlan(level, template, room, sample, distortion, blur, interim)
+
+    def _searched(self, k: int, plan: SearchPlan, gates: MatchGates) -> PointMatch:
+        frame, reference = self.frame, self.frame.points.reference(int(self.view.index[k]))
+        if reference is None:
+            return PointMatch(0, DAMAGED)
         return match_point(
             reference,
             plan,
@@ -140,8 +147,24 @@ class PointSearch:
             self.pose,
             frame.sun_body,
             frame.matcher,
-            MatchGates(least, limits.rival_ratio, MIN_STRENGTH, refuse_smooth=True),
+            gates,
         )
+
+    def stands_alone(self, k: int, match: PointMatch, room: int) -> bool:
+        """Whether a match is the best place, without a rival, of a search with more room.
+
+        room  to every side, nodes; behind a blur of those that are kept
+        """
+        plan = self._plan(k, match.level, room, interim=True)
+        node_m = float(self._postings_m(k)[match.level])
+        if plan.blur_nodes:
+            step = thinning(plan.blur_nodes)
+            plan, node_m = replace(plan, search_nodes=int(np.ceil(room * step))), node_m * step
+        again = self._searched(k, plan, MatchGates(0.0, self.frame.settings.match.rival_ratio))
+        if again.reason or again.pixel is None or match.pixel is None:
+            return False
+        moved_m = float(np.linalg.norm(again.pixel - match.pixel)) * plan.metres_per_pixel
+        return moved_m <= RIVAL_DISTANCE * node_m
 
 
 def search_from(

@@ -2,12 +2,21 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from optnav_cli.matching.smoothness import find_count_step, shows_ground
 from optnav_cli.studies.smooth_pictures import BITS, KINDS, draw_smooth_picture
 
 MARGIN = 8
+
+
+def plain(size):
+    """Pixels (size, size, 2) of nodes that lie on the picture's own."""
+    return np.stack(np.meshgrid(*2 * [np.arange(float(size))]), axis=-1)
+
+
+def is_ground(patch, count_step):
+    return shows_ground(patch, plain(len(patch)), MARGIN, count_step)
 
 
 def ground(size, rms, seed=0):
@@ -22,7 +31,7 @@ def ground(size, rms, seed=0):
 def test_ground_is_ground_under_any_gradient(size, rms):
     for seed in range(5):
         lit = np.rint(ground(size, rms, seed) + 0.3 * np.arange(size))
-        assert shows_ground(lit.astype(np.float32), MARGIN, 1.0)
+        assert is_ground(lit.astype(np.float32), 1.0)
 
 
 @pytest.mark.parametrize("kind", [k for k in KINDS if k != "defocus"])
@@ -35,20 +44,36 @@ def test_smooth_fields_are_no_ground(kind, bits):
         patch = np.rint(gaussian_filter(whole, 4.0))[200:296, 200:296].astype(np.float32)
         if kind == "slow gradient":
             patch = whole[100:164, 100:164]
-        assert not shows_ground(patch, MARGIN, 1.0)
+        assert not is_ground(patch, 1.0)
+
+
+@pytest.mark.parametrize("kind", ["gradient", "slow gradient", "vignette", "stray light"])
+def test_a_smooth_picture_over_relief_seen_from_aside_is_no_ground(kind):
+    """Its brightness at the nodes shows the relief of the terrain model, not of the ground."""
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        whole = draw_smooth_picture(512, 16, kind, ground(64, 30.0), rng)
+        whole = gaussian_filter(whole.astype(np.float64), 4.0)  # without noise and rounding
+        pixels = plain(96) + 200.0
+        relief = ground(96, 1.0) - 100.0  # of some pixels of parallax
+        pixels += 3.0 * relief[..., None] * [1.0, 0.7]
+        patch = map_coordinates(whole, pixels[..., ::-1].reshape(-1, 2).T, order=3)
+        patch = patch.reshape(96, 96).astype(np.float32)
+        assert is_ground(patch, 0.0)  # relief it is, by its waves alone
+        assert not shows_ground(patch, pixels, MARGIN, 0.0)
 
 
 def test_contrast_below_the_rounding_of_counts_is_no_ground():
     faint = ground(64, 0.2)
-    assert shows_ground(faint, MARGIN, 0.0)
-    assert not shows_ground(faint, MARGIN, 1.0)
+    assert is_ground(faint, 0.0)
+    assert not is_ground(faint, 1.0)
 
 
 def test_holes_take_no_part_and_a_patch_without_pixels_shows_nothing():
     holed = ground(64, 30.0)
     holed[:20] = np.nan
-    assert shows_ground(holed, MARGIN, 1.0)
-    assert not shows_ground(np.full((64, 64), np.nan, np.float32), MARGIN, 1.0)
+    assert is_ground(holed, 1.0)
+    assert not is_ground(np.full((64, 64), np.nan, np.float32), 1.0)
 
 
 def test_the_step_of_counts_is_their_greatest_common_divisor():
