@@ -6,6 +6,7 @@ configs/models/cylinder.toml are found, on other cloths, another cylinder and ot
 
 import math
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,6 +42,7 @@ from optnav_cli.simulation.cylinder_scenario import CylinderScenario
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
+from optnav_cli.studies.cylinder_coding import coded_rows
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 CAMERA = "lab_20deg"
@@ -61,6 +63,7 @@ CIRCLES = ((-120.0, 1.0), (10.0, 1.8), (60.0, 2.4))
 AWAY_M, BEARING_DEG = (0.9, 2.5), 2.5  # of the surface; of the axis, to either side
 FORMULA_M, FORMULA_DEG = 1.34, (6, 15, 30, 60, 90, 120)
 SPEED_WITHIN_DEG = 130.0
+CODED_SHARE = 10  # of a band's trials that have a picture of each coding, which takes some seconds
 PLOTTED = 7  # numbers of a trial
 ERRORS = columns(
     "light = light [°]; trials; solved; d_rms = d, rms [mm] .2f; d_max = d, largest [mm] .2f; "
@@ -72,6 +75,12 @@ SPEED = columns(
     "circle; pictures; speed = speed [mm/s] .0f; rms = error, rms a component [mm/s] .2f; "
     "largest = largest [mm/s] .2f; asked = asked [mm/s] .0f; sigma = stated [mm/s] .2f; "
     "nees = NEES .2f"
+)
+CODED = columns(
+    "coding; pictures; solved; gamma = γ, mean .2f; gamma_sigma = its σ .2f; "
+    "d_rms = d, rms [mm] .2f; d_sigma = stated [mm] .2f; d_nees = NEES .2f; "
+    "theta_rms = θ, rms [°] .2f; theta_nees = NEES .2f; held = within 3σ [%] .0f; "
+    "known_rms = d with the coding stated, rms [mm] .2f; known_sigma = stated [mm] .2f"
 )
 FORMULA = columns("true = true θ [°]; printed = formula (6) [°] .1f; exact = exact widths [°] .1f")
 
@@ -89,6 +98,7 @@ class CylinderFigures:
     speed: list[tuple[Cell, ...]]
     formula: list[tuple[Cell, ...]]
     fitted: CylinderErrorSizes | None = None
+    coded: Sequence[tuple[Cell, ...]] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +150,8 @@ def run(progress: Progress, trials: int = 40, seed: int = 1, fit: bool = False) 
         rng = np.random.default_rng([seed, len(bands), number])
         flown = _circled(progress, (theta_deg, distance_m, _cloth(rng)), number)
         speed.append(_speed_row(f"from {theta_deg:.0f} deg at {distance_m:g} m", flown))
-    return CylinderFigures(table, lost, trials, speed, _formula())
+    coded = coded_rows(progress, math.ceil(trials / CODED_SHARE), seed)
+    return CylinderFigures(table, lost, trials, speed, _formula(), coded=coded)
 
 
 def _trial(
@@ -293,6 +304,7 @@ def report(result: CylinderFigures) -> StudyReport:
         notes += ["fitted sizes:", *(f"{name} = {size:.2g}" for name, size in sizes.items())]
         return StudyReport(tuple(tables), tuple(notes))
     tables.append(StudyTable("Speed by three pictures 2 s apart", SPEED, tuple(result.speed)))
+    tables.append(StudyTable("Counts of a coding that is not stated", CODED, tuple(result.coded)))
     tables.append(
         StudyTable("Formula (6) as printed, seen from 1.34 m", FORMULA, tuple(result.formula))
     )
@@ -302,6 +314,8 @@ def report(result: CylinderFigures) -> StudyReport:
         "0.15 m high, 0.9-2.5 m away, 640 x 480 px, SNR 80-100; speed: 30 "
         "pictures of the scenario cylinder_circle, rough cloth, and of circles about cloths as "
         "above, with one cloth for all pictures of a folder; alone: folders of three pictures",
+        "counts of a coding: pictures of the first three lights, blurred between pixels, coded in "
+        "8 bits; gamma is an unknown of each",
         "formula (6) takes a parallel projection: of the full face it makes 31 deg at 1.34 m; "
         "exact widths give no angle where the whole face is lit, up to 6 deg",
     ]

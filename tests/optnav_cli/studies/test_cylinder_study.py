@@ -9,13 +9,14 @@ import pytest
 
 from catalog.progress import SilentProgress
 from optnav_cli.measurements.cylinder import CylinderErrorSizes, cylinder_sizes, grazing_of
-from optnav_cli.studies import cylinder
+from optnav_cli.studies import cylinder, cylinder_coding
 
 FIGURES = Path(cylinder.__file__).parent / "figures" / "cylinder.json"
 
 
 def test_few_pictures_are_within_what_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cylinder, "_circled", lambda *_: None)
+    monkeypatch.setattr(cylinder, "coded_rows", lambda *_: [])
     monkeypatch.setattr(cylinder, "_speed_row", lambda *_: ("", 30, 49.0, 0.4, 1.0, 1.0, 0.5, 0.7))
     figures = cylinder.run(SilentProgress(), trials=1)
     assert len(figures.trials) + len(figures.lost) == len(cylinder.BANDS)
@@ -64,6 +65,24 @@ def test_sizes_that_errors_were_drawn_with_are_found_again() -> None:
     found = cylinder.fitted_sizes(table)
     for name in ("theta_deg", "theta_grazing_deg", "distance_share", "distance_grazing_share"):
         assert getattr(found, name) == pytest.approx(getattr(true, name), rel=0.15)
+
+
+def test_unknown_gamma_is_within_its_sigma_and_known_codings_state_less() -> None:
+    """Taken for linear, a distance is off by 9 mm and more at a stated 0.2 mm."""
+    rng = np.random.default_rng(3)
+    trial = cylinder_coding._trial(rng, 0, cylinder_coding.CODINGS["gamma 2.2"])
+    gamma, gamma_sigma, d_m, d_sigma_m, _, _, known_m, known_sigma_m = trial
+    assert abs(gamma - 2.2) < 3.0 * gamma_sigma
+    assert abs(d_m) < 3.0 * d_sigma_m
+    assert abs(known_m) < 1e-3
+    assert known_sigma_m < 0.5 * d_sigma_m
+
+
+@pytest.mark.parametrize("name", cylinder_coding.CODINGS)
+def test_curves_of_codings_lead_back_to_light(name: str) -> None:
+    code, decode = cylinder_coding.CODINGS[name]
+    light = np.linspace(0.0, 1.0, 101)
+    assert decode(code(light)) == pytest.approx(light, abs=1e-6)
 
 
 def test_the_stored_figures_keep_what_is_asked() -> None:
