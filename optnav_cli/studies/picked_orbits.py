@@ -60,7 +60,7 @@ class _Series:
     fixes: list[OrbitFix]
 
 
-class _Earth:
+class EarthFlights:
     """Forces of the truth and of the fits."""
 
     def __init__(self, folder: Path) -> None:
@@ -71,10 +71,8 @@ class _Earth:
             for name, terms in (("true.tab", TRUE_TERMS), ("fewer.tab", fewer))
         )
 
-    def series(
-        self, rng: np.random.Generator, sizes_m: Sequence[float], lens: float, clock_s: float
-    ) -> _Series:
-        """sizes_m: 1 sigma of fixes twice across and up; clock_s: pictures are so much later."""
+    def flight(self, rng: np.random.Generator) -> TrueFlight:
+        """Fly an orbit of the station, a state each half minute."""
         start = _start(rng, self.true)
         speed = float(np.linalg.norm(start[3:]))
 
@@ -82,7 +80,13 @@ class _Earth:
             force: FloatArray = -DRAG_M_S2 * y[3:] / speed
             return force
 
-        flight = fly(self.true, start, every(0.5, MINUTES / 60.0), push=drag)
+        return fly(self.true, start, every(0.5, MINUTES / 60.0), push=drag)
+
+    def series(
+        self, rng: np.random.Generator, sizes_m: Sequence[float], lens: float, clock_s: float
+    ) -> _Series:
+        """sizes_m: 1 sigma of fixes twice across and up; clock_s: pictures are so much later."""
+        flight = self.flight(rng)
         kept = np.sort(rng.choice(MINUTES, PICTURES, replace=False))
         fixes = []
         for number in kept:
@@ -211,7 +215,7 @@ def _node_prior(flight: TrueFlight, rng: np.random.Generator) -> OrbitPrior:
 def series_figures(trials: int, seed: int) -> list[OrbitFigure]:
     """All rows."""
     with tempfile.TemporaryDirectory() as folder:
-        earth = _Earth(Path(folder))
+        earth = EarthFlights(Path(folder))
         return [
             *_random_errors(earth, trials, seed),
             *_lens(earth, trials, seed),
@@ -220,7 +224,7 @@ def series_figures(trials: int, seed: int) -> list[OrbitFigure]:
         ]
 
 
-def _random_errors(earth: _Earth, trials: int, seed: int) -> list[OrbitFigure]:
+def _random_errors(earth: EarthFlights, trials: int, seed: int) -> list[OrbitFigure]:
     nodes: list[float] = []
     for k in range(trials):
         series = earth.series(np.random.default_rng((seed, 1, k)), SERIES_M, 0.0, 0.0)
@@ -232,7 +236,7 @@ def _random_errors(earth: _Earth, trials: int, seed: int) -> list[OrbitFigure]:
     ]
 
 
-def _lens(earth: _Earth, trials: int, seed: int) -> list[OrbitFigure]:
+def _lens(earth: EarthFlights, trials: int, seed: int) -> list[OrbitFigure]:
     focal = ParameterSettings("focal", prior_sigma=0.01)
     found, sizes = [], []
     for k in range(trials):
@@ -252,7 +256,7 @@ def _lens(earth: _Earth, trials: int, seed: int) -> list[OrbitFigure]:
     ]
 
 
-def _clock(earth: _Earth, trials: int, seed: int) -> list[OrbitFigure]:
+def _clock(earth: EarthFlights, trials: int, seed: int) -> list[OrbitFigure]:
     clock = ParameterSettings("clock", prior_sigma=10.0)
     shares, nodes, sigmas, errors = [], [], [], []
     for k in range(trials):
@@ -289,7 +293,7 @@ def _clock(earth: _Earth, trials: int, seed: int) -> list[OrbitFigure]:
     ]
 
 
-def _times(earth: _Earth, folder: Path, trials: int, seed: int) -> list[OrbitFigure]:
+def _times(earth: EarthFlights, folder: Path, trials: int, seed: int) -> list[OrbitFigure]:
     """Times of pictures whose places are good to 0.3 km, stamped to 20 s, by a known orbit."""
     rng = np.random.default_rng((seed, 4))
     exact = earth.series(rng, (10.0, 10.0, 10.0), 0.0, 0.0)

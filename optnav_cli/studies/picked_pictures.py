@@ -44,14 +44,18 @@ def picked_picture(
     off_deg: float,
     focal: float = 1.0,
     relief_m: float = RELIEF_M,
+    position_m: FloatArray | None = None,
 ) -> PickedPicture:
     """A picture so far off the nadir, in any direction and roll; four points stand in corners.
 
     focal     the true focal length over the stated one
     relief_m  how high points stand at most
+    position_m  (3,) of the camera, body-fixed; None: anywhere at HEIGHT_M
     """
-    up = xyz_from_latlon(np.arcsin(rng.uniform(-0.7, 0.7)), rng.uniform(-np.pi, np.pi), 1.0)
-    position = up * (body.radius_m + HEIGHT_M)
+    if position_m is None:
+        up = xyz_from_latlon(np.arcsin(rng.uniform(-0.7, 0.7)), rng.uniform(-np.pi, np.pi), 1.0)
+        position_m = up * (body.radius_m + HEIGHT_M)
+    position, up = position_m, position_m / np.linalg.norm(position_m)
     turn = _pointed(up, np.radians(off_deg), rng)
     pixels = _layout(rng, count)
     middle = np.array(CAMERA.principal_point_px)

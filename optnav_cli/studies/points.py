@@ -18,6 +18,7 @@ from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
 from optnav_cli.navigation.picked_points import PickedFrames
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
+from optnav_cli.studies.picked_lens import picked_lens_figures
 from optnav_cli.studies.picked_orbits import series_figures
 from optnav_cli.studies.picked_pictures import CAMERA, RELIEF_M, PickedPicture, picked_picture
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
@@ -149,7 +150,8 @@ def run(progress: Progress, trials: int = 200, seed: int = 1) -> PointsFigures:
             bar.advance()
         three = _three(study)
         bar.advance()
-        figures = series_figures(max(2 * trials // 5, 2), seed)
+        flights = max(2 * trials // 5, 2)
+        figures = [*series_figures(flights, seed), *picked_lens_figures(flights, seed)]
         series: list[tuple[Cell, ...]] = [(f.what, f.wanted, f.found, f.flights) for f in figures]
         bar.advance()
     ways, numbers, tilts, lenses, blunders = rows
