@@ -39,7 +39,7 @@ from optnav_cli.navigation.horizon.relief_skyline import relief_skyline
 from optnav_cli.navigation.horizon.sizes import FILE, HorizonSizes, horizon_sizes
 from optnav_cli.navigation.horizon.skyline import follow, usable_rays, with_limb_errors
 from optnav_cli.navigation.outline.one_body import detect_limb
-from optnav_cli.studies import flights, likelihood
+from optnav_cli.studies import flights, horizon_flights, likelihood
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 FITTED = ("horizon_100km", "real_horizon_100km")
@@ -53,6 +53,8 @@ NAMES = [
     "crest.sigma_m",
     "crest.model_sector",
 ]
+# Sizes of ground in long shadows, fitted on flights of their own (`--rows real_flights`).
+ROUGH_NAMES = ["light.rough_share", "light.rough_px"]
 MAX_FACTOR = 4.0
 MAX_SIGMAS = 5.0  # points beyond are no errors of a size but other crests
 BEGINNING = b"# Errors of limbs and crests"
@@ -111,32 +113,51 @@ def run(
 
     folder  of `optnav study horizon`, whose pictures are used again
     frames  pictures of a scenario, its own number when None
-    rows    only scenarios whose name contains this
+    rows    only scenarios whose name contains this; horizon_flights.NAME: sizes of ROUGH_NAMES by
+            the flights of horizon_flights, scored on those of another seed
     """
     if output is not None:
         check_file(output, starts_with(BEGINNING))
     globe = path_of(flights.GLOBE, Path.cwd())
     make_folder(folder)
-    fit, held = (
-        [limb for n in names if rows in n for limb in gathered(folder, n, globe, frames, progress)]
-        for names in (FITTED, SCORED)
-    )
+    names = NAMES
+    if rows == horizon_flights.NAME:
+        names = ROUGH_NAMES
+        fit, held = (
+            [
+                limb
+                for place in horizon_flights.pictures(folder, seed, frames, progress)
+                for limb in limbs_of(place, rows, globe)
+            ]
+            for seed in (horizon_flights.FITTED_SEED, horizon_flights.SCORED_SEED)
+        )
+    else:
+        fit, held = (
+            [
+                limb
+                for name in scenarios
+                if rows in name
+                for limb in limbs_of(
+                    flights.shipped_pictures(folder, name, frames, progress), name, globe
+                )
+            ]
+            for scenarios in (FITTED, SCORED)
+        )
     if not fit:
-        raise NothingToDoError(f"no scenario to fit with is called '{rows}': {', '.join(FITTED)}")
+        known = ", ".join((*FITTED, horizon_flights.NAME))
+        raise NothingToDoError(f"no scenario to fit with is called '{rows}': {known}")
     old = horizon_sizes()
-    new = fitted(fit, old)
+    new = fitted(fit, old, names)
     if output is not None:
-        pairs = numbers(old), numbers(new)
+        pairs = numbers(old, names), numbers(new, names)
         text = likelihood.with_numbers(toml_text(resource(FILE)), *pairs)
         write_output(output, text.encode(), starts_with(BEGINNING))
-    return HorizonFitResult(old, new, fit, held)
+    return HorizonFitResult(old, new, fit, held, names)
 
 
-def gathered(
-    folder: Path, name: str, globe: Path, frames: int | None, progress: Progress
-) -> list[TrueLimb]:
+def limbs_of(place: Path, name: str, globe: Path) -> list[TrueLimb]:
     """The limbs of a scenario's pictures from their true poses; without those that have none."""
-    pictures = read_folder(flights.shipped_pictures(folder, name, frames, progress))
+    pictures = read_folder(place)
     relief = load_relief(str(globe), pictures.body, flights.stated_error_of(name))
     truths = {t.file: t for t in read_truth(pictures.path / "truth.csv", pictures.attitude)}
     found = []
@@ -211,10 +232,10 @@ def position_nees(limb: TrueLimb, sizes: HorizonSizes) -> float:
     return squared_distance(position - truth, covariance) / 3.0
 
 
-def numbers(sizes: HorizonSizes) -> dict[str, float]:
+def numbers(sizes: HorizonSizes, names: Sequence[str] = NAMES) -> dict[str, float]:
     """The sizes that limbs tell of, by their names."""
     parts = msgspec.to_builtins(sizes)
-    return {name: parts[name.split(".")[0]][name.split(".")[1]] for name in NAMES}
+    return {name: parts[name.split(".")[0]][name.split(".")[1]] for name in names}
 
 
 def scaled(sizes: HorizonSizes, factors: Mapping[str, float]) -> HorizonSizes:
@@ -226,10 +247,12 @@ def scaled(sizes: HorizonSizes, factors: Mapping[str, float]) -> HorizonSizes:
     return msgspec.convert(parts, HorizonSizes)
 
 
-def fitted(limbs: Sequence[TrueLimb], sizes: HorizonSizes) -> HorizonSizes:
+def fitted(
+    limbs: Sequence[TrueLimb], sizes: HorizonSizes, names: Sequence[str] = NAMES
+) -> HorizonSizes:
     """The likeliest sizes, of those on which the limbs depend."""
     factors = likelihood.likeliest_factors(
-        lambda some: log_likelihood(limbs, scaled(sizes, some)), NAMES, MAX_FACTOR
+        lambda some: log_likelihood(limbs, scaled(sizes, some)), names, MAX_FACTOR
     )
     return scaled(sizes, factors)
 
@@ -242,6 +265,7 @@ class HorizonFitResult:
     new: HorizonSizes
     fit: Sequence[TrueLimb]
     held: Sequence[TrueLimb]
+    names: Sequence[str] = tuple(NAMES)
 
 
 SCORES = columns(
@@ -253,9 +277,11 @@ SCORES = columns(
 def report(result: HorizonFitResult) -> StudyReport:
     """The sizes with what halving and doubling the new ones costs, and NEES by scenario."""
     found = likelihood.drops(
-        lambda factors: log_likelihood(result.fit, scaled(result.new, factors)), NAMES
+        lambda factors: log_likelihood(result.fit, scaled(result.new, factors)), result.names
     )
-    sizes = likelihood.sizes_table(numbers(result.old), numbers(result.new), found)
+    sizes = likelihood.sizes_table(
+        numbers(result.old, result.names), numbers(result.new, result.names), found
+    )
     scores: list[tuple[Cell, ...]] = []
     for ground, limbs in (("fitted with", result.fit), ("held back", result.held)):
         for name in dict.fromkeys(limb.case for limb in limbs):

@@ -204,8 +204,9 @@ _OTHERS = (
         present sizes and of the new ones. Catalogs and pictures are those of `optnav study
         navigation`; with them it takes a minute. `descent` is fitted with the windows of flights of
         `optnav study descent`, over another ground than those that it scores, `horizon` with limbs
-        of `optnav study horizon` over the simulator's own ground. `albedo`, how the Moon's albedo
-        follows its relief, is fitted with a map of it and a terrain model, no pictures.""",
+        of `optnav study horizon` over the simulator's own ground, or with --rows real_flights over
+        ground in long shadows. `albedo`, how the Moon's albedo follows its relief, is fitted with a
+        map of it and a terrain model, no pictures.""",
         "control_points -o sizes.toml",
         (
             click.Argument(

@@ -23,13 +23,16 @@ from tests.optnav_cli.navigation.horizon.limbs import CAMERA, attitude, grounds,
 POINTS = 600
 
 
-def limb(seed: int, sizes: HorizonSizes, case: str = "a") -> TrueLimb:
-    """A limb all around a nadir, 600 km off, under a Sun of 5-60 deg, its errors by some sizes."""
+def limb(seed: int, sizes: HorizonSizes, case: str = "a", own_px: float = 0.05) -> TrueLimb:
+    """A limb all around a nadir, 600 km off, under a Sun of 5-60 deg, its errors by some sizes.
+
+    own_px  what the edge model states of each edge
+    """
     rng = np.random.default_rng(seed)
     azimuths = np.sort(rng.uniform(-np.pi, np.pi, POINTS))
     angle = np.full(POINTS, 7e-4)
     out = np.stack([np.cos(azimuths), np.sin(azimuths), np.full(POINTS, -0.3)], axis=1)
-    rays = LimbRays(out, angle, np.full(POINTS, 0.05), 1e-4, 0.01, np.arange(POINTS))
+    rays = LimbRays(out, angle, np.full(POINTS, own_px), 1e-4, 0.01, np.arange(POINTS))
     sine = np.sin(np.radians(rng.uniform(5.0, 60.0, POINTS)))
     one = TrueLimb(case, np.zeros(POINTS), rays, azimuths, sine, 6e5, 0.5)
     own, shared = one.errors(sizes)
@@ -78,6 +81,18 @@ def test_new_sizes_are_written_among_the_old_text() -> None:
     assert len(changed) == 1
     assert changed[0][1].startswith("noise_m = 54 ")
     assert changed[0][1].endswith(changed[0][0].partition("#")[2])
+
+
+def test_rough_ground_that_limbs_were_drawn_by_is_found() -> None:
+    """Twice the shipped size: edges of 0.12 to 0.4 px, neighbours wrong alike."""
+    true = scaled(horizon_sizes(), {"light.rough_share": 2.0})
+    limbs = [limb(seed, true, own_px=0.12 + 0.04 * seed) for seed in range(8)]
+    names = horizon_fit.ROUGH_NAMES
+    found = numbers(fitted(limbs, horizon_sizes(), names), names)
+    assert list(found) == names
+    wanted = numbers(true, names)
+    assert found["light.rough_share"] == pytest.approx(wanted["light.rough_share"], rel=0.25)
+    assert found["light.rough_px"] == pytest.approx(wanted["light.rough_px"], rel=0.4)
 
 
 def test_nothing_is_made_without_the_ground_or_for_rows_of_another_name(
