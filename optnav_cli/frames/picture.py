@@ -28,6 +28,7 @@ from optnav_cli.frames.stored_pixels import StoredPixels
 _SATURATION = {"uint8": 255.0, "uint16": 65535.0}
 # No camera's counts end so low, and no surface but a specular one is as bright as I/F.
 HIGHEST_FRACTION = 16.0
+MAX_EXPONENT = 1000  # of two, by which counts are multiplied: larger is no number
 MAX_VALUE = 1e30  # beyond it squares of single precision overflow in places
 # What viewers do with stored pixels, by the number of EXIF's tag (EXIF 2.3, 4.6.4 A).
 _TURNS: dict[str, Callable[[NDArray[Any]], NDArray[Any]]] = {
@@ -198,7 +199,7 @@ def _counts(
     fractions = bool((values != np.rint(values)).any())
     if not fractions or not 0.0 < highest < HIGHEST_FRACTION:
         return values, 1.0
-    exponent = 16 - math.frexp(highest)[1]
+    exponent = min(16 - math.frexp(highest)[1], MAX_EXPONENT)
     scaled: FloatArray = np.ldexp(values.astype(np.float64), exponent)
     return scaled, math.ldexp(1.0, exponent)
 

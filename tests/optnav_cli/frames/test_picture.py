@@ -514,3 +514,16 @@ def test_a_huge_picture_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
     refused(path, "40000 x 40000; camera")
     assert tracemalloc.get_traced_memory()[1] < 50e6
     tracemalloc.stop()
+
+
+def test_brightness_of_denormal_numbers_is_read_without_overflow(tmp_path: Path) -> None:
+    values = np.zeros((8, 8))
+    values[3, 3] = 5e-324
+    path = tmp_path / "a.tif"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        profile = {"driver": "GTiff", "dtype": "float64", "count": 1, "width": 8, "height": 8}
+        with rasterio.open(path, "w", **profile) as file:
+            file.write(values, 1)
+    picture = load_picture(path, None)
+    assert np.isfinite(picture.values).all()
