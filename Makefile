@@ -95,7 +95,7 @@ lock: ## make requirements.lock anew from pyproject.toml
 	$(PYTHON) -m venv build/lock-env
 	build/lock-env/bin/python -m pip install --quiet --disable-pip-version-check 'pip-tools>=7.4'
 	build/lock-env/bin/pip-compile --quiet --upgrade --generate-hashes --strip-extras --allow-unsafe \
-	  --extra test --extra plots --extra spice --extra tle --extra dist --no-header --no-annotate --no-emit-index-url --no-emit-trusted-host \
+	  --extra test --extra spice --extra tle --extra dist --no-header --no-annotate --no-emit-index-url --no-emit-trusted-host \
 	  --no-emit-find-links --output-file requirements.lock pyproject.toml
 
 clean: ## remove the environment, caches and the demo's output

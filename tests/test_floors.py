@@ -32,7 +32,6 @@ FLOORS = (
     {
         "optnav_cli.matching",
         "optnav_cli.measurements",
-        "optnav_cli.stars",
         "optnav_cli.stereo",
         "optnav_cli.simulation",
     },

@@ -227,14 +227,34 @@ def _thrust(
 
 
 def cover(task: DeliveryTask) -> list[BoxStage]:
-    """The sets before each correction and at the arrival, as bounds."""
+    """Bound the sets of errors before each correction and at the arrival.
+
+    Raises NoSolutionError where corrections make the errors larger than the path.
+    """
     bound = task.settings.burns.bound_sigmas
     stages = [_injected(task, bound)]
     each, total = dv_bounds(task)
     for number, most in enumerate(each):
         stages.append(_corrected(task, stages[-1], number, most))
+        check_reached(task, stages[-1], number)
     stages[-1] = replace(stages[-1], spent=np.minimum(stages[-1].spent, total))
     return stages
+
+
+def check_reached(task: DeliveryTask, stage: BoxStage, number: int) -> None:
+    """Check that the set that a correction leaves is small beside the path, as W supposes.
+
+    Raises NoSolutionError.
+    """
+    start_m = float(np.linalg.norm(task.path.states[0, :3] - task.path.states[task.path.entry, :3]))
+    reach_m = float(np.linalg.norm(stage.reach[:2]))
+    if not reach_m < start_m:
+        raise NoSolutionError(
+            f"the errors grow without bound: {reach_m / 1e3:.3g} km after the correction of day "
+            f"{task.corrections[number].day:g}, on a path of {start_m / 1e3:.3g} km; wanted "
+            "measurements or burns that are more exact, or other days",
+            ReasonCode.NO_SOLUTION,
+        )
 
 
 def dv_bounds(task: DeliveryTask) -> tuple[list[float], float]:
@@ -414,9 +434,3 @@ def biased_navigation(arc: ArcMeasurements, count: int, seed: int) -> FloatArray
     wrong = noise + rng.standard_normal((count, arc.shared.shape[1])) @ arc.shared.T
     found: FloatArray = wrong @ arc.gain().T
     return found
-
-
-def check_reached(stages: list[BoxStage]) -> None:
-    """Raises NoSolutionError for sets that are no numbers, as of a schedule that diverges."""
-    if not all(np.isfinite(stage.reach).all() for stage in stages):
-        raise NoSolutionError("the errors grow without bound", ReasonCode.NO_SOLUTION)

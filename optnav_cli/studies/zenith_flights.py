@@ -1,4 +1,4 @@
-"""Craft of seed 002's constellation with the truth of another model, and their zenith distances.
+"""Craft of Kuznetsov's constellation with the truth of another model, and their zenith distances.
 
 The truth has a field of degree 20 and sunlight on 0.02 m^2/kg and is flown by scipy's integrator;
 fits have degree 8, and sunlight as a parameter that is not known before.

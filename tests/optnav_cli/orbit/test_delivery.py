@@ -1,5 +1,6 @@
 """Deliveries: the B-plane, partials of the path, navigation, and boxes that hold all trials."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -216,3 +217,11 @@ def test_a_correction_that_cannot_change_the_arrival_is_refused(
     monkeypatch.setattr(delivery, "MAX_CONDITION", 2.2)
     with pytest.raises(ConfigError, match=r"correction after 1 days cannot change .* 2\.4e\+00"):
         delivery_task(SETTINGS, MOON, "moon.toml")
+
+
+def test_corrections_that_make_errors_larger_than_the_path_are_refused(task: DeliveryTask) -> None:
+    """Burns whose fixed error alone moves the arrival by more than the way to it."""
+    burns = msgspec.structs.replace(task.settings.burns, fixed_m_s=3e4)
+    wild = replace(task, settings=msgspec.structs.replace(task.settings, burns=burns))
+    with pytest.raises(NoSolutionError, match=r"grow without bound: .* km after the correction of"):
+        cover(wild)
