@@ -66,7 +66,7 @@ cases: $(READY) ## read a folder of other programs' files, each right or refused
 	$(BIN)/python -m tests.cases "$(DIR)" $(ARGS)
 
 study-%: $(READY) ## one long experiment behind the figures, such as study-selection
-	$(BIN)/optnav study $* $(ARGS)
+	$(BIN)/python -m tests.studies $* $(ARGS)
 
 bench: $(READY) ## speed, as ratios to well-known tools on this machine (STORE=yes keeps the table)
 	OPTNAV_BENCH=full OPTNAV_BENCH_STORE=$(STORE) $(ONE_THREAD) $(BIN)/python -m pytest tests/bench -m bench -q -s $(ARGS)

@@ -69,7 +69,6 @@ COMMANDS = {
     "export": Entry(_PICTURES, "Write a run as layers for GIS programs.", "export"),
     "report": Entry(_PICTURES, "Make a page about a run or a catalog.", "report"),
     "config": Entry(f"{_HERE}.config", "What ships with optnav; configurations to start from."),
-    "study": Entry(f"{_HERE}.study", "Run an experiment behind the figures."),
 }
 
 
@@ -88,12 +87,12 @@ def cli() -> None:
     """
 
 
-def _invoke(args: Sequence[str]) -> int:
+def _invoke(args: Sequence[str], group: click.Group, program: str) -> int:
     # Not cli.main(): it has its own words for an interrupt and for a reader that left.
     code, in_files = 0, False
     try:
-        with cli.make_context("optnav", list(args)) as context:
-            cli.invoke(context)
+        with group.make_context(program, list(args)) as context:
+            group.invoke(context)
             in_files = context.meta.get(IN_FILES, False)
     except click.exceptions.Exit as end:  # --help, --version
         code = end.exit_code
@@ -104,10 +103,10 @@ def _invoke(args: Sequence[str]) -> int:
     return code
 
 
-def run(args: Sequence[str]) -> int:
+def run(args: Sequence[str], group: click.Group = cli, program: str = "optnav") -> int:
     """Run a command line and return its exit code; a bug of ours stays a traceback."""
     try:
-        return _invoke(args)
+        return _invoke(args, group, program)
     except OptnavError as error:
         return _fail(str(error), error.exit_code)
     except click.exceptions.NoArgsIsHelpError as error:
@@ -171,8 +170,8 @@ def complete() -> int:
     return shell_complete(cli, {}, "optnav", COMPLETE, asked)
 
 
-def main() -> NoReturn:
-    """Entry point of the `optnav` script."""
+def main(group: click.Group = cli, program: str = "optnav") -> NoReturn:
+    """Run the command line of this process and end it; the entry point of the `optnav` script."""
     process = os.getpid()
 
     def terminate(number: int, frame: FrameType | None) -> NoReturn:
@@ -183,7 +182,7 @@ def main() -> NoReturn:
 
     signal.signal(signal.SIGTERM, terminate)
     make_patient()
-    sys.exit(complete() if COMPLETE in os.environ else run(sys.argv[1:]))
+    sys.exit(complete() if COMPLETE in os.environ else run(sys.argv[1:], group, program))
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from catalog.build.config import load_build_config
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.main import cli
 from tests.golden import documents
+from tests.studies.__main__ import studies
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 TEXTS = {
@@ -42,6 +43,7 @@ def commands(
 
 
 COMMANDS = dict(commands(cli))
+STUDIES = studies.commands
 
 
 def example_of(words: str, command: click.Command) -> str:
@@ -63,7 +65,7 @@ def test_every_option_says_what_it_is_for(words: str) -> None:
             assert parameter.help, f"optnav {words} {parameter.opts[-1]} has no help"
 
 
-@pytest.mark.parametrize("words", [w for w in COMMANDS if w not in ("catalog", "study", "config")])
+@pytest.mark.parametrize("words", [w for w in COMMANDS if w not in ("catalog", "config")])
 def test_every_command_has_a_line_in_a_readme(words: str) -> None:
     assert any(re.search(rf"optnav {re.escape(words)}\b", text) for text in TEXTS.values())
 
@@ -113,6 +115,12 @@ def test_the_readme_s_commands_run_one_after_the_other_in_one_folder() -> None:
         there.add(output)
 
 
+@pytest.mark.parametrize("words", STUDIES)
+def test_every_study_has_help_with_an_example_of_itself(words: str) -> None:
+    text = STUDIES[words].get_help(click.Context(STUDIES[words], info_name=words))
+    assert f"python -m tests.studies {words}" in text.partition("Example:")[2]
+
+
 def test_makes_of_the_readmes_exist() -> None:
     targets = set(re.findall(r"^([a-z%-]+):", (CHECKOUT / "Makefile").read_text(), re.MULTILINE))
     named = {
@@ -124,7 +132,7 @@ def test_makes_of_the_readmes_exist() -> None:
     assert named - studies <= targets
     assert {"demo", "test", "bench", "docs"} <= named
     for name in studies:
-        assert f"study {name.removeprefix('study-')}" in COMMANDS
+        assert name.removeprefix("study-") in STUDIES
 
 
 def anchors(text: str) -> set[str]:

@@ -41,7 +41,6 @@ FLOORS = (
     {"optnav_cli.report"},
     {"optnav_cli.runs"},
     {"optnav_cli.api"},
-    {"optnav_cli.studies"},
     {"optnav_cli.console"},
     {"optnav_cli.options"},
     {"optnav_cli.commands"},

@@ -3,7 +3,7 @@
 Source: Archinal et al., reports of the IAU Working Group on Cartographic Coordinates and Rotational
 Elements, 2009 and 2015; the numbers live in configs/bodies. The lunar series differs from the ME
 frame of DE421 by 80 m on average and 155 m at most at the surface (1997-2010), so the Moon's file
-adds a correction that is fitted to that frame; `optnav study rotation` fits and checks it.
+adds a correction that is fitted to that frame; `make study-rotation` fits and checks it.
 """
 
 import math

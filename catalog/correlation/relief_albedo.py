@@ -13,9 +13,9 @@ longer waves, and strengths that fit these move places too far back, at nodes of
 more under a Sun of 45 degrees.
 
 So both patterns are fitted along with the place, held by how they go with the Moon's relief (FILE,
-`optnav study fit albedo`) and by how the other points of the picture show them: a place and the
-strength of its crests are hard to tell apart. What then is left over lies where the relief is, too,
-so that every node counts by the rest about it.
+`python -m tests.studies fit albedo`) and by how the other points of the picture show them: a place
+and the strength of its crests are hard to tell apart. What then is left over lies where the relief
+is, too, so that every node counts by the rest about it.
 """
 
 from collections.abc import Sequence

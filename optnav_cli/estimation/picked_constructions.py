@@ -71,7 +71,7 @@ def by_circles(picks: Picks, ground: CircleGround = "tangent") -> FloatArray:
     """The camera's place (3,), m, from two circles in the plane of the main vertical.
 
     ground  map: latitude and longitude are the map; the ends of the chords are put on the sphere,
-            and the plane is that of the far ones and the local vertical: Belyaev and others as they print it;
+            and the plane is that of the far ones and the local vertical, as the source prints it;
             flat: the points' east and north are a map, the body's curvature is left out;
             tangent: points are moved to the tangent plane along lines of sight, in rounds
 

@@ -6,7 +6,7 @@ field over its square. So two windows err alike as far as they share ground. Its
 right model and of what the first match leaves over. Where the model is wrong at its posting,
 windows of smooth ground are matched with its errors: what the matches leave over tells which ones
 are, not by how much. That is learned from how windows scatter as they join, `WindowSpread`. The
-sizes are fitted numbers, in FILE (`optnav study fit`).
+sizes are fitted numbers, in FILE (`make study-fit`).
 """
 
 from collections.abc import Sequence

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from optnav_cli.estimation.descent_filter import TRACK
-from optnav_cli.studies.descent import TIMED_LANDMARKS, filter_update
 from tests.bench.timing import in_turn, result, spread, within
+from tests.studies.descent import TIMED_LANDMARKS, filter_update
 
 pytestmark = pytest.mark.bench
 

@@ -11,8 +11,8 @@ from optnav_cli.frames.picture import Picture
 from optnav_cli.hazard.ground_view import look_down
 from optnav_cli.hazard.hazard_map import map_hazard
 from optnav_cli.hazard.settings import HazardSettings
-from optnav_cli.studies.hazard_fields import make_field, perspective_picture
 from tests.bench.timing import in_turn, result, spread, within
+from tests.studies.hazard_fields import make_field, perspective_picture
 
 pytestmark = pytest.mark.bench
 

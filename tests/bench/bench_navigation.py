@@ -37,8 +37,8 @@ from optnav_cli.runs.import_folder import ImportOptions, import_folder
 from optnav_cli.runs.inputs import open_field
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
-from optnav_cli.studies.apollo import CUBE, PICTURE
 from tests.bench.timing import FULL, Spread, best, one_core, result, sized, spread, within
+from tests.studies.apollo import CUBE, PICTURE
 
 pytestmark = pytest.mark.bench
 

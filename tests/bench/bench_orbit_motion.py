@@ -12,8 +12,8 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.dynamics.orbit_integrator import RELATIVE, acceleration
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
-from optnav_cli.studies.orbit_motion import START_UTC, low_orbit
 from tests.bench.timing import in_turn, result, sized, spread, within
+from tests.studies.orbit_motion import START_UTC, low_orbit
 
 pytestmark = pytest.mark.bench
 

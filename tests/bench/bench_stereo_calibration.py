@@ -9,9 +9,9 @@ import pytest
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.estimation.adjustment import adjust
 from optnav_cli.stereo.height import stereo_height
-from optnav_cli.studies.calibration_routes import Route, simulated_route
 from tests.bench.timing import in_turn, result, sized, spread, within
 from tests.optnav_cli.stereo.pairs import DOWN, picture, rig
+from tests.studies.calibration_routes import Route, simulated_route
 
 pytestmark = pytest.mark.bench
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from optnav_cli.orbit.zenith_fit import fit_zenith
-from optnav_cli.studies.zenith import SUNLIGHT
-from optnav_cli.studies.zenith_flights import (
+from tests.bench.timing import in_turn, result, sized, within
+from tests.studies.zenith import SUNLIGHT
+from tests.studies.zenith_flights import (
     GATE,
     SESSIONS,
     SightErrors,
     ZenithFlight,
     fit_motion,
 )
-from tests.bench.timing import in_turn, result, sized, within
 
 pytestmark = pytest.mark.bench
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from optnav_cli.studies.tables import StudyReport
 from tests.bench import timing
+from tests.studies.tables import StudyReport
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ import cv2
 import numba
 import numpy as np
 
-from optnav_cli.studies.tables import (
+from tests.studies.tables import (
     Cell,
     StudyReport,
     StudyTable,

@@ -19,7 +19,6 @@ from optnav_cli.main import cli
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
-from optnav_cli.studies import apollo
 from tests.golden import (
     documents,
     flights,
@@ -29,6 +28,8 @@ from tests.golden import (
     sketch,
     values,
 )
+from tests.studies import apollo
+from tests.studies.__main__ import studies
 
 HERE = Path(__file__).resolve().parent
 README = HERE / "readme"
@@ -78,7 +79,7 @@ def main(
             _told(path)
     for name in CURVES if plot else ():
         path = README / f"{name}.svg"
-        cli.main(["study", name, "-o", str(path)], standalone_mode=False)
+        studies.main([name, "-o", str(path)], standalone_mode=False)
         _told(path)
     if flown:
         moon = flights.moon_catalog(work)

@@ -17,11 +17,12 @@ from optnav_cli.commands.config import first_sentence
 from optnav_cli.frames import orbit_tables, tables
 from optnav_cli.main import COMMANDS, cli
 from optnav_cli.reasons import ReasonCode
-from optnav_cli.studies.tables import StudyReport
+from tests.studies.__main__ import studies
+from tests.studies.tables import StudyReport
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 CONFIGS = CHECKOUT / "configs"
-FIGURES = CHECKOUT / "optnav_cli" / "studies" / "figures"
+FIGURES = CHECKOUT / "tests" / "studies" / "figures"
 BENCHES = CHECKOUT / "tests" / "bench" / "figures"
 CAPTIONS = Path(__file__).with_name("captions.json")
 # A sentence, and where its figures stand: study, table, row, columns.
@@ -74,7 +75,7 @@ PART = re.compile(r"(<!-- made: (\w+)((?: [\w.-]+)*) -->\n).*?(?=<!-- end -->)",
 
 def study(name: str) -> str:
     """The stored tables of a study, and from which run they are."""
-    return _stored(FIGURES / f"{name}.json", "optnav study {}")
+    return _stored(FIGURES / f"{name}.json", "python -m tests.studies {}")
 
 
 def bench(name: str) -> str:
@@ -125,6 +126,12 @@ def subcommands(group: str) -> str:
     return _listed({f"optnav {group} {name}": sub.get_short_help_str(200) for name, sub in found})
 
 
+def experiments() -> str:
+    """Every study with its question."""
+    found = studies.commands.items()
+    return _listed({f"make study-{name}": sub.get_short_help_str(200) for name, sub in found})
+
+
 def _commands_of(group: str) -> dict[str, click.Command]:
     context = click.Context(cli)
     found = cli.get_command(context, group)
@@ -156,6 +163,7 @@ PARTS: dict[str, Callable[..., str]] = {
     part.__name__: part
     for part in (
         study,
+        experiments,
         bench,
         accuracy,
         caption,
@@ -192,7 +200,7 @@ def _stored(path: Path, command: str) -> str:
     report = _report(path)
     words = [command.format(report.study)]
     given = {name: value for name, value in report.arguments.items() if value not in (None, "")}
-    study = _commands_of("study").get(report.study)
+    study = studies.commands.get(report.study)
     bare = [p.name for p in study.params if isinstance(p, click.Argument)] if study else []
     for name, value in given.items():
         option = "" if name in bare else f"--{name} "

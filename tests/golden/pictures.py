@@ -28,9 +28,9 @@ from optnav_cli.output.overlay import RESIDUALS_ENLARGED, draw_overlay, patch_ou
 from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.report.body_sides import sides_picture
 from optnav_cli.runs.hazard_drawing import draw_overview
-from optnav_cli.studies import hazard as study
-from optnav_cli.studies.hazard_fields import make_field, perspective_picture
 from tests.golden import sketch
+from tests.studies import hazard as study
+from tests.studies.hazard_fields import make_field, perspective_picture
 
 # From good to bad, as in the reports (viridis), blue green red.
 CLASSES = ((5, 181, 227), (81, 209, 122), (132, 168, 34), (142, 120, 42))

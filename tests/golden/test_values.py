@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from optnav_cli.studies.tables import StudyReport
 from tests.golden.__main__ import CURVES, main
 from tests.golden.documents import CAPTIONS, DOCUMENTS, FIGURES
 from tests.golden.values import LAWS, NODES, SUNS, frozen, golden_values
+from tests.studies.tables import StudyReport
 
 README = Path(__file__).with_name("readme")
 ANEW = "if the change is meant, run `make golden` and look at what it changed"

@@ -77,10 +77,7 @@ def test_each_command_takes_the_options_that_go_anywhere(names: tuple[str, ...])
 
 
 def test_groups_take_them_too() -> None:
-    assert all(
-        isinstance(cli.get_command(click.Context(cli), n), click.Command) for n in ("study",)
-    )
-    for name in ("catalog", "config", "study"):
+    for name in ("catalog", "config"):
         assert isinstance(cli.get_command(click.Context(cli), name), LazyGroup)
 
 
@@ -203,8 +200,6 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
         for param in command.params
         if isinstance(param, OutputOption) and not param.endings
     }
-    studies = {"acceptance", "apollo", "autonomous", "comet", "horizon", "navigation", "phobos"}
-    studies |= {"real", "calibration", "descent", "orbit_runs", "stars"}
     stages = {"build", "ingest", "render", "select", "check", "write"}
     orbits = {"fit", "qso", "landing", "delivery"}
     makers = {
@@ -215,7 +210,6 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
         {((name,), "work") for name in stages}
         | {((name,), "output") for name in makers}
         | {(("orbit", name), "output") for name in orbits}
-        | {(("study", name), "output") for name in studies}
         | {(("config", "template"), "output")}
     )
     for command in COMMANDS.values():  # and no command names an output in another way

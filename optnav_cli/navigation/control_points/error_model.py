@@ -8,7 +8,7 @@ pattern away from a low Sun; shading and sampling leave a small shift across it 
 the frame's middle. Without the common part the covariance of many points together would come out
 too small.
 
-The sizes are fitted numbers, in FILE (`optnav study fit`).
+The sizes are fitted numbers, in FILE (`make study-fit`).
 """
 
 from collections.abc import Sequence

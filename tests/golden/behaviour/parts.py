@@ -111,10 +111,17 @@ def carry_out(name: str, folder: Path) -> None:
 
 
 def optnav(folder: Path, *arguments: str) -> str:
-    """What `optnav ARGUMENTS` of this checkout prints; raises with its messages where it fails."""
+    """Run `optnav ARGUMENTS` of this checkout, or a study, and give what it prints.
+
+    Raises RuntimeError with its messages where it fails.
+    """
+    is_study = arguments[0] == "study"
+    program, words = (
+        ("tests.studies", arguments[1:]) if is_study else ("optnav_cli.main", arguments)
+    )
     shared = os.environ.get("OPTNAV_SHARED_DATA", str(CHECKOUT.parent / "shared" / "data"))
     done = subprocess.run(
-        [sys.executable, "-m", "optnav_cli.main", "-q", *arguments],
+        [sys.executable, "-m", program, "-q", *words],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(CHECKOUT), "OPTNAV_SHARED_DATA": shared},
         capture_output=True,

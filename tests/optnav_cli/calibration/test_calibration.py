@@ -17,7 +17,7 @@ from optnav_cli.estimation import adjustment
 from optnav_cli.estimation.adjustment import AdjustedFrame, adjust, residuals_from
 from optnav_cli.estimation.models.common import Common, CommonState
 from optnav_cli.runs.calibrate_folder import check_points
-from optnav_cli.studies.calibration_routes import KINDS, OFF, Route, simulated_route
+from tests.studies.calibration_routes import KINDS, OFF, Route, simulated_route
 
 UNK = Camera("unk", "pinhole", 2048, 2048, 4183.87, (1023.5, 1023.5))
 FISHEYE = Camera("round", "equidistant", 1024, 1024, 420.0, (511.5, 511.5))

@@ -35,9 +35,6 @@ COMMANDS = {
     "export patch": (["catalog", "export", "c.gpkg", "--point", "ID", "-o"], "new.glb"),
     "folder": (["config", "template", "folder", "-o"], "new"),
     "demo": (["demo", "-o"], "new"),
-    "study": (["study", "resection", "--trials", "10", "--json"], "new.json"),
-    "study plot": (["study", "resection", "--trials", "10", "-o"], "new.svg"),
-    "study folder": (["study", "apollo", "-o"], "new"),
 }  # fmt: skip
 
 
@@ -151,13 +148,3 @@ def test_a_layer_leaves_the_side_files_of_another_alone(
     other.unlink()
     assert [call("export csv")[0], call("export csv")[0]] == [0, 0]
     assert {path.name for path in tmp_path.glob("new*")} == {"new.csv", "new.prj", "new.csvt"}
-
-
-def test_a_study_replaces_no_foreign_json(call: Call, tmp_path: Path) -> None:
-    (tmp_path / "new.json").write_text('{"a": "letter"}')
-    code, said = call("study")
-    assert code == 3
-    assert "was not made by optnav" in said
-    assert (tmp_path / "new.json").read_text() == '{"a": "letter"}'
-    (tmp_path / "new.json").unlink()
-    assert [call("study")[0], call("study")[0]] == [0, 0]

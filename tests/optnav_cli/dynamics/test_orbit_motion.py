@@ -14,7 +14,7 @@ from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.dynamics.orbit_integrator import AU_M, SUN_RADIUS_M, lit_share, path_axes
 from optnav_cli.dynamics.orbit_settings import ForcesSettings, SunlightSettings, ThrustArc
 from optnav_cli.dynamics.orbit_tables import ArcTables
-from optnav_cli.studies.orbit_motion import exact_place, low_orbit, one_degree
+from tests.studies.orbit_motion import exact_place, low_orbit, one_degree
 
 MOON = load_body("moon")
 MOTION = AnalyticEphemeris(MOON)
@@ -27,7 +27,7 @@ def orbit(**settings):
 
 @pytest.mark.parametrize(("degree", "bound_m"), [(2, 1e-3), (50, 0.02)])
 def test_two_hours_are_those_of_scipy_at_1e_13(degree, bound_m):
-    """Another way to write the field, and no tables; 24 h: `optnav study orbit_motion`."""
+    """Another way to write the field, and no tables; 24 h: `make study-orbit_motion`."""
     forces = Forces(MOTION, ForcesSettings(degree=degree, field="bundled:moon_glgm3_50.tab"))
     to = EPOCH + 7200.0
     found, _ = OrbitMotion(forces).propagate(low_orbit(), EPOCH, np.array([to]))

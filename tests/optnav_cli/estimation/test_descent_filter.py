@@ -9,7 +9,7 @@ from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.estimation.descent_filter import TRACK, DescentFilter, TrackErrors
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
-from optnav_cli.studies.descent_measurements import Formulation, fly
+from tests.studies.descent_measurements import Formulation, fly
 
 CAMERA = preset_camera("tsnn2_wide")
 ERRORS = TrackErrors(300.0, 0.8, 0.02, 6e-5, 4e-7, 1.5e-5)

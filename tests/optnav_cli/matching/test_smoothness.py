@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from optnav_cli.matching.smoothness import find_count_step, shows_ground
-from optnav_cli.studies.smooth_pictures import BITS, KINDS, draw_smooth_picture
+from tests.studies.smooth_pictures import BITS, KINDS, draw_smooth_picture
 
 MARGIN = 8
 

@@ -36,8 +36,8 @@ from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from optnav_cli.simulation.descent import Descent, DescentSettings
 from optnav_cli.simulation.passes import SunSettings
 from optnav_cli.simulation.sections import DetailSettings, GlobeSettings, MainCamera
-from optnav_cli.studies import descent_flights
 from tests.optnav_cli.simulation.simulated import simulate
+from tests.studies import descent_flights
 
 CAMERA = """name = "small"
 model = "pinhole"

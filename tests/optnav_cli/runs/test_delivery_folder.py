@@ -8,7 +8,7 @@ from catalog.config import resource
 from catalog.progress import SilentProgress
 from optnav_cli.frames.orbit_tables import DELIVERY_STAGES
 from optnav_cli.main import run
-from optnav_cli.studies import delivery as study
+from tests.studies import delivery as study
 
 SETTINGS = resource("configs/orbits/delivery_moon_optical.toml").read_text(encoding="utf-8")
 

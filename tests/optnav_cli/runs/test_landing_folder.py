@@ -7,7 +7,7 @@ import pytest
 from catalog.progress import SilentProgress
 from optnav_cli.frames.orbit_tables import LANDING, LANDING_IMPULSE
 from optnav_cli.main import run
-from optnav_cli.studies import landing as study
+from tests.studies import landing as study
 
 SETTINGS = """[landing]
 time = "2026-01-01T07:23:25Z"

@@ -10,9 +10,9 @@ from optnav_cli.frames.orbit_tables import QSO, QSO_PASSES
 from optnav_cli.main import run
 from optnav_cli.orbit.oem_reader import read_oem
 from optnav_cli.orbit.qso_theory import phase_rate
-from optnav_cli.studies.qso import periodic_rate
-from optnav_cli.studies.qso import report as study_report
-from optnav_cli.studies.qso import run as run_study
+from tests.studies.qso import periodic_rate
+from tests.studies.qso import report as study_report
+from tests.studies.qso import run as run_study
 
 SETTINGS = """[qso]
 time = "2026-01-01T00:00:00Z"

@@ -1,0 +1,85 @@
+"""`make study-NAME`: the experiments behind the figures, a command each from their registry.
+
+python -m tests.studies NAME [OPTIONS]
+"""
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+import click
+
+from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
+from optnav_cli.main import cli, main
+from optnav_cli.options import LazyGroup, OptnavCommand
+from optnav_cli.parameters import OutputOption
+from tests.studies.registry import STUDIES
+from tests.studies.study import Study
+
+PROGRAM = "python -m tests.studies"
+
+
+@click.group(cls=LazyGroup, context_settings=cli.context_settings)
+def studies() -> None:
+    """Run one of the experiments behind the figures of the documents.
+
+    Studies repeat trials with fixed seeds and take minutes to hours.
+
+    \b
+    Example:
+      python -m tests.studies resection
+    """
+
+
+def _command(study: Study) -> click.Command:
+    """The command of one study: its own options, and what all of them have."""
+
+    @pass_progress
+    def call(
+        progress: ConsoleProgress,
+        /,
+        json_file: Path | None,
+        plot: Path | None = None,
+        **options: Any,
+    ) -> None:
+        from catalog.files import check_file, starts_with
+        from optnav_cli.report import sheet
+        from tests.studies import tables
+
+        for place, beginning in ((plot, sheet.BEGINNING.encode()), (json_file, tables.BEGINNING)):
+            if place is not None:
+                check_file(place, starts_with(beginning))  # before hours of work
+        if study.compiles:
+            announce_compilation()
+        result = study.function("run")(progress=progress, **options)
+        report = study.function("report")(result)
+        click.echo(report.to_text(), err=bool(study.prints))
+        if study.prints:
+            click.echo(study.function(study.prints)(result))
+        if plot is not None:
+            sheet.write_sheet(study.function("picture")(result), plot)
+        if json_file is not None:
+            report.signed(study.name, options).write(json_file)
+
+    parameters = [*study.options]
+    if study.draws:
+        plot = ("-o", "--output", "plot")
+        text = "Draw the curves into this file (SVG)."
+        parameters.append(OutputOption(plot, endings=(".svg", ""), help=text))
+    text = "Also write the tables into this file (JSON)."
+    parameters.append(OutputOption(("--json", "json_file"), endings=(".json", ""), help=text))
+    return OptnavCommand(
+        study.name,
+        callback=call,
+        params=parameters,
+        short_help=study.question,
+        help=f"{inspect.cleandoc(study.text)}\n\n\b\nExample:\n"
+        f"  python -m tests.studies {study.name} {study.example}".rstrip(),
+    )
+
+
+for _study in STUDIES:
+    studies.add_command(_command(_study))
+
+if __name__ == "__main__":
+    main(studies, PROGRAM)

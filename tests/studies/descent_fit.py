@@ -1,0 +1,315 @@
+"""Fit the sizes of the errors of a descent's windows, and score them on other ground.
+
+The windows of all frames of a flight are matched from their true poses: what is left is their
+error. The sizes in FILE are those under which all errors of the flights together are likeliest: of
+the ground, the same in each frame that shows it, alike where windows share ground and, in a part,
+in all of a flight; and fresh ones. How wrong a flight's model is, is learned as the filter does. A
+prior holds sizes at the present ones where the flights say nothing. Fitted with the model of the
+truth, with one that is wrong, and with a 12 m model.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from catalog.arrays import BoolArray, FloatArray, IndexArray
+from catalog.config import resource, toml_text
+from catalog.errors import NothingToDoError
+from catalog.files import check_file, starts_with, write_output
+from catalog.places import make_folder
+from catalog.progress import Progress
+from optnav_cli.estimation.descent_filter import GATE
+from optnav_cli.estimation.models.points import Pose, predict
+from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.truth import read_truth
+from optnav_cli.matching.picture_pyramid import PicturePyramid
+from optnav_cli.navigation.control_points.expectation import FrameContext
+from optnav_cli.navigation.descent_errors import (
+    FILE,
+    SCALES,
+    DescentErrorSizes,
+    WindowGround,
+    WindowSpread,
+    same_level,
+    shipped_sizes,
+    window_ground,
+)
+from optnav_cli.navigation.descent_state import sunward_shift_px
+from optnav_cli.navigation.descent_windows import (
+    WindowField,
+    WindowKey,
+    choose_windows,
+    match_window,
+    overlap,
+)
+from optnav_cli.navigation.observation import observation_of
+from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
+from optnav_cli.runs.inputs import open_ground
+from tests.studies import likelihood
+from tests.studies.descent_flights import Way, catalog_of, pictures_of
+from tests.studies.tables import Cell, StudyReport, StudyTable, columns
+
+# Grounds that sizes are fitted with, and one that only scores; seeds of the wrong models of both.
+# The Sun of those fitted with stands on opposite sides, which tells what follows it from the rest.
+FITTED, HELD = (0, 5), (6,)
+FITTED_WRONG, HELD_WRONG = 4, 5
+SEARCHED_M = 20.0  # 1 sigma of the true position, for the search
+MAX_FACTOR = 8.0
+MAX_SHARE = 0.9
+KEPT = ("landmark_px", "landmark_shift", "landmark_height_postings")  # no sizes of windows
+SHARES = ("common", "fresh_share")
+BEGINNING = b"# How far a window of the terrain model"
+
+
+@dataclass(frozen=True, eq=False)
+class FlightErrors:
+    """Errors of the windows of a flight from its true poses.
+
+    grounds      (k) windows;  overlaps (k, k) correlation of their errors by common ground
+    of_window    (n,) which of them each sighting is of
+    missed_px    (n, 2) measured less predicted;  sunward_px (n, 2) by a unit of sunward_postings
+    by_ground    (n, 2, 3) derivative of the pixel by the ground's place
+    left_px2     (n, 2, 2) what each match leaves over
+    held_sunward  by which to tell how wrong the model is, if not by sunward_postings of the sizes
+    """
+
+    case: str
+    grounds: Sequence[WindowGround]
+    overlaps: FloatArray
+    of_window: IndexArray
+    missed_px: FloatArray
+    sunward_px: FloatArray
+    by_ground: FloatArray
+    left_px2: FloatArray
+    held_sunward: float | None = None
+
+    def subset(self, kept: BoolArray) -> "FlightErrors":
+        """Some of the sightings."""
+        names = ("of_window", "missed_px", "sunward_px", "by_ground", "left_px2")
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+
+    def scale(self, sizes: DescentErrorSizes) -> float:
+        """How wrong the flight's model is, by the windows' first sightings; see `WindowSpread`."""
+        _, first = np.unique(self.of_window, return_index=True)
+        held = self.held_sunward
+        sunward = sizes.sunward_postings if held is None else held
+        missed = self.missed_px - sunward * self.sunward_px
+        grounds = [self.grounds[k] for k in self.of_window[first]]
+        level = self.by_ground[first] @ np.array([ground.axes[:, :2] for ground in grounds])
+        off = np.linalg.pinv(level) @ missed[first, :, None]
+        spreads = [ground.level_m2(sizes) for ground in grounds]
+        widest = np.array([stays + SCALES[-1] * scaled for stays, scaled in spreads])
+        squares = (off * np.linalg.solve(widest, off)).sum(axis=(1, 2))
+        return WindowSpread().with_windows(grounds, squares, float(SCALES[-1]), sizes).scale
+
+    def errors(self, sizes: DescentErrorSizes) -> tuple[FloatArray, FloatArray]:
+        """What was missed (2 n,), px, and its covariance (2 n, 2 n) by some sizes."""
+        missed = self.missed_px - sizes.sunward_postings * self.sunward_px
+        scale = self.scale(sizes)
+        errors = [ground.error(sizes, scale) for ground in self.grounds]
+        common, own = (
+            (self.by_ground @ np.array(roots)[self.of_window]).reshape(-1, 3)
+            for roots in zip(*((error.common_m, error.own_m) for error in errors), strict=True)
+        )
+        ties = self.overlaps[np.ix_(self.of_window, self.of_window)]
+        keys = [ground.key for ground in self.grounds]
+        level = same_level(keys, keys)[np.ix_(self.of_window, self.of_window)]
+        covariance = (common @ common.T) * np.kron(level, np.ones((2, 2)))
+        covariance += (own @ own.T) * np.kron(ties, np.ones((2, 2)))
+        fresh = sizes.fresh_px**2 * np.eye(2) + scale * sizes.fresh_share * self.left_px2
+        for k, own in enumerate(fresh):
+            covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own
+        return missed.ravel(), covariance
+
+
+def run(
+    progress: Progress, folder: Path, rows: str = "", output: Path | None = None
+) -> "DescentFitResult":
+    """Fit the sizes; a TOML file with them goes to `output`.
+
+    folder  of `make study-descent`, whose catalogs and pictures are used again
+    rows    only flights whose name contains this
+    """
+    if output is not None:
+        check_file(output, starts_with(BEGINNING))
+    make_folder(folder)
+    fit = _gathered(folder, FITTED, FITTED_WRONG, rows, progress)
+    held = _gathered(folder, HELD, HELD_WRONG, rows, progress)
+    if not fit:
+        raise NothingToDoError(f"no flight to fit with is called '{rows}'")
+    old = shipped_sizes()
+    new = fitted(fit, old)
+    if output is not None:
+        text = with_sizes(toml_text(resource(FILE)), new)
+        write_output(output, text.encode(), starts_with(BEGINNING))
+    return DescentFitResult(old, new, fit, held)
+
+
+def _gathered(
+    folder: Path, grounds: Sequence[int], wrong: int, rows: str, progress: Progress
+) -> list[FlightErrors]:
+    cases = {"118 m": (Way.LONG, 0), "118 m, wrong": (Way.LONG, wrong), "12 m": (Way.FINE, 0)}
+    found = []
+    for ground in grounds:
+        for case, (way, seed) in cases.items():
+            name = f"{case}, ground {ground}"
+            if rows in name:
+                pictures = pictures_of(folder, ground, way, progress)
+                catalog = catalog_of(folder, pictures, progress, wrong=seed)
+                found.append(gathered(name, pictures, catalog, progress))
+    return found
+
+
+def gathered(case: str, pictures: Path, catalog: Path, progress: Progress) -> FlightErrors:
+    """The windows of a flight, matched from its true poses, without wrong matches."""
+    worker = FrameWorker(RunInputs(pictures, [catalog]))
+    grounds: dict[WindowKey, WindowGround] = {}
+    rows: list[tuple[WindowKey, FloatArray, FloatArray, FloatArray, FloatArray]] = []
+    try:
+        folder, inputs = worker.folder, worker.inputs
+        field = open_ground(worker.catalogs, folder.body)
+        truths = read_truth(pictures / "truth.csv", folder.attitude)
+        if field is None:
+            raise NothingToDoError(f"{catalog}: has no patches")
+        windows, known = WindowField(field, truths[-1].position_m), list[WindowKey]()
+        with progress.stage(f"match {case}", len(truths), "frame") as bar:
+            for frame, truth in zip(folder.frames, truths, strict=True):
+                camera = folder.cameras[frame.camera]
+                picture = load_picture(folder.picture_path(frame), camera)
+                seen = observation_of(frame, camera, picture)
+                values = PicturePyramid(picture.values)
+                context = FrameContext(seen, values, field, inputs.settings, inputs.matcher)
+                pose = Pose(truth.position_m, truth.camera_from_body)
+                chosen = choose_windows(context, pose, windows, known)
+                known = []
+                for window in chosen:
+                    pixel, by_pose = predict(camera, pose, window.place_m[None])
+                    by_position = by_pose[0, :, :3]
+                    sigma = SEARCHED_M * float(np.linalg.norm(by_position, 2))
+                    match = match_window(context, pose, window, sigma)
+                    if match.reason or match.pixel is None or match.covariance_px2 is None:
+                        continue
+                    known.append(window.key)
+                    if window.key not in grounds:
+                        grounds[window.key] = window_ground(window, match, by_position)
+                    place, posting, sun = window.place_m, window.posting_m, context.sun_body
+                    shift = sunward_shift_px(place, posting, by_position, sun)
+                    left = match.covariance_px2
+                    rows.append((window.key, match.pixel - pixel[0], shift, -by_position, left))
+                bar.advance()
+    finally:
+        worker.close()
+    if not rows:
+        raise NothingToDoError(f"{case}: no window was found")
+    keys = list(grounds)
+    overlaps = np.array([[overlap(one, other) for other in keys] for one in keys])
+    numbers: IndexArray = np.array([keys.index(row[0]) for row in rows])
+    parts = (np.array(part, np.float64) for part in list(zip(*rows, strict=True))[1:])
+    missed, shifts, by_ground, left = parts
+    known_grounds = list(grounds.values())
+    flight = FlightErrors(case, known_grounds, overlaps, numbers, missed, shifts, by_ground, left)
+    off, covariance = flight.errors(shipped_sizes())
+    each = off.reshape(-1, 2)
+    count = len(each)
+    own = covariance.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)]
+    squares = np.einsum("ni,nij,nj->n", each, np.linalg.inv(own), each)
+    return flight.subset(squares < GATE)
+
+
+def log_likelihood(flights: Sequence[FlightErrors], sizes: DescentErrorSizes) -> float:
+    """Of the errors of all windows, logarithm, less what no size changes."""
+    total = 0.0
+    for flight in flights:
+        missed, covariance = flight.errors(sizes)
+        factored = cho_factor(covariance, lower=True)
+        determinant = 2.0 * float(np.log(np.diag(factored[0])).sum())
+        total -= 0.5 * (float(missed @ cho_solve(factored, missed)) + determinant)
+    return total
+
+
+def scaled(sizes: DescentErrorSizes, factors: Mapping[str, float]) -> DescentErrorSizes:
+    """The sizes with some, by their names, multiplied; shares stay below MAX_SHARE."""
+    changed = {name: getattr(sizes, name) * factor for name, factor in factors.items()}
+    changed |= {name: min(changed[name], MAX_SHARE) for name in SHARES if name in changed}
+    return msgspec.structs.replace(sizes, **changed)
+
+
+def _names() -> list[str]:
+    """Of the sizes that windows tell of."""
+    return [name for name in DescentErrorSizes.__struct_fields__ if name not in KEPT]
+
+
+def drops(
+    flights: Sequence[FlightErrors], sizes: DescentErrorSizes
+) -> dict[str, tuple[float, float]]:
+    """By how much halving and doubling each size lowers the logarithm of the likelihood."""
+    held = _held(flights, sizes)
+    return likelihood.drops(lambda factors: log_likelihood(held, scaled(sizes, factors)), _names())
+
+
+def _held(flights: Sequence[FlightErrors], sizes: DescentErrorSizes) -> list[FlightErrors]:
+    """The flights, their models as wrong as they are with this shift away from the Sun.
+
+    Were it to follow the shift that is tried, a wrong one would pass for a wrong model.
+    """
+    return [replace(flight, held_sunward=sizes.sunward_postings) for flight in flights]
+
+
+def fitted(flights: Sequence[FlightErrors], sizes: DescentErrorSizes) -> DescentErrorSizes:
+    """The likeliest sizes, of those on which the flights depend."""
+    held = _held(flights, sizes)
+    factors = likelihood.likeliest_factors(
+        lambda some: log_likelihood(held, scaled(sizes, some)), _names(), MAX_FACTOR
+    )
+    return scaled(sizes, factors)
+
+
+def with_sizes(text: str, sizes: DescentErrorSizes) -> str:
+    """The text of the shipped sizes' file with other values, to two digits; comments stay."""
+    old, lines = shipped_sizes(), []
+    for line in text.splitlines():
+        name, _, _ = line.partition(" = ")
+        if name in old.__struct_fields__ and getattr(sizes, name) != getattr(old, name):
+            line = f"{name} = {getattr(sizes, name):.2g}"
+        lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True, eq=False)
+class DescentFitResult:
+    """Sizes before and after, and the flights that they were fitted with and are scored on."""
+
+    old: DescentErrorSizes
+    new: DescentErrorSizes
+    fit: Sequence[FlightErrors]
+    held: Sequence[FlightErrors]
+
+
+SCORES = columns(
+    "flight; ground; windows; square_old = square a degree, old .2f; "
+    "square_new = square a degree, new .2f"
+)
+
+
+def report(result: DescentFitResult) -> StudyReport:
+    """The sizes with what halving and doubling the new ones costs, and squares of the errors."""
+    old, new = result.old, result.new
+    before, after = (msgspec.to_builtins(sizes) for sizes in (old, new))
+    sizes = likelihood.sizes_table(before, after, drops(result.fit, new))
+    scores: list[tuple[Cell, ...]] = []
+    for ground, flights in (("fitted with", result.fit), ("held back", result.held)):
+        for flight in flights:
+            squares = [_square(flight, each) for each in (old, new)]
+            scores.append((flight.case, ground, len(flight.missed_px), *squares))
+    note = f"{likelihood.NOTE}; square of all errors of a flight over their joint covariance"
+    return StudyReport((sizes, StudyTable("Scores", SCORES, tuple(scores))), (note,))
+
+
+def _square(flight: FlightErrors, sizes: DescentErrorSizes) -> float:
+    """Squared errors over their joint covariance, a degree of freedom."""
+    missed, covariance = flight.errors(sizes)
+    return float(missed @ np.linalg.solve(covariance, missed)) / missed.size

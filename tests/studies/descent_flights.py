@@ -1,0 +1,177 @@
+"""Flights of the study of descents: pictures over several grounds, their catalogs and tracks.
+
+What a picture shows does not depend on the inertial track, so each ground is flown with several
+tracks of drawn errors. The catalog's model is that of the truth without what lies below its
+posting, or one that is wrong besides; of the ways over a 12 m model, each ground's own.
+"""
+
+import time
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import FloatArray
+from catalog.config import resource
+from catalog.errors import DataError
+from catalog.geometry.latlon import body_from_local, latlon_from_xyz
+from catalog.progress import Progress
+from catalog.rasters import TERRAIN, open_raster, reading_raster
+from optnav_cli.fix import NoFix, Solution
+from optnav_cli.frames.picture import frame_picture
+from optnav_cli.frames.run_settings import InertialSettings
+from optnav_cli.frames.truth import Truth, read_truth
+from optnav_cli.reasons import Reason, ReasonCode
+from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
+from optnav_cli.simulation import descent_model
+from optnav_cli.simulation.descent import Descent, track_errors
+from optnav_cli.simulation.scenario import load_scenario
+from tests.studies import flights
+
+CATALOG, MODEL = "tycho_descent", "tycho_gld100_256ppd.tif"
+SPACING_S, SUNS_DEG = 10.0, ((10.0, 20.0), (12.0, 12.0), (18.0, 18.0), (10.0, 10.0), (20.0, 20.0))
+LOW_M = 6500.0  # where the published descent on a 118 m model ends
+# The descent whose landmarks are flown alone: lower and slower, so that pictures overlap.
+LOW_FROM_KM, LOW_S, LOW_SPEED_M_S, LOW_SPACING_S, LOW_TILT_DEG = 10.0, 80.0, 700.0, 4.0, 10.0
+WRONG_M = 3.0  # rms error of the wrong model
+# Cells of a catalog of the 12 m model, deg, and its patches, which overlap so.
+FINE_CELL_DEG, FINE_PYRAMID = 0.03, "\n[pyramid]\nsize = 128\nlevels = 4\n"
+
+
+class Way(StrEnum):
+    """Which way is flown; the names of picture folders begin with it."""
+
+    LONG = "descent"
+    LOW = "low"
+    FINE = "fine"  # over a 12 m model
+
+
+@dataclass(frozen=True, eq=False)
+class FlownFrame:
+    """A frame of a flight: height over the ground below, error east, north, up, NEES a degree."""
+
+    height_m: float
+    error_m: FloatArray | None
+    nees: float | None
+    solution: Solution
+    last: bool
+
+
+def scenario_of(ground: int, way: Way = Way.LONG) -> Descent:
+    """A shipped descent over another ground under another Sun; LOW: from 10 km."""
+    name = "descent_12m" if way is Way.FINE else "descent_118m"
+    scenario = load_scenario(resource(f"configs/scenarios/{name}.toml"))
+    if not isinstance(scenario, Descent):
+        raise TypeError(f"{name} is no descent")
+    descent = msgspec.structs.replace(scenario.descent, spacing_s=SPACING_S)
+    seed, relief = scenario.seed + ground, scenario.detail.seeds[0] + ground
+    sun = SUNS_DEG[ground % len(SUNS_DEG)]
+    if way is Way.LOW:
+        seed, relief, sun = seed + 10, relief + 2, scenario.sun.elevation_deg
+        descent = msgspec.structs.replace(
+            descent,
+            from_km=LOW_FROM_KM,
+            duration_s=LOW_S,
+            speed_m_s=(LOW_SPEED_M_S, descent.speed_m_s[1]),
+            tilt_deg=(LOW_TILT_DEG, 0.0),
+            spacing_s=LOW_SPACING_S,
+        )
+    return msgspec.structs.replace(
+        scenario,
+        seed=seed,
+        descent=descent,
+        sun=msgspec.structs.replace(scenario.sun, elevation_deg=sun),
+        detail=msgspec.structs.replace(scenario.detail, seeds=(relief,)),
+    )
+
+
+def pictures_of(output: Path, ground: int, way: Way, progress: Progress) -> Path:
+    """The pictures of a way over a ground, in a study's folder; made unless they are there."""
+    place = output / "pictures" / f"{way}-{ground}"
+    return flights.made_pictures(scenario_of(ground, way), place, progress)
+
+
+def catalog_of(output: Path, pictures: Path, progress: Progress, *, wrong: int = 0) -> Path:
+    """The catalog that pictures are flown by; built unless it is there.
+
+    wrong  seed of the errors of a wrong model; 0: the model of the truth
+    """
+    text = resource(f"configs/catalogs/{CATALOG}.toml").read_text(encoding="utf-8")
+    fine = pictures / descent_model.MODEL
+    if fine.is_file():
+        model = fine.relative_to(output).as_posix()
+        text = text.replace("cell_deg = 0.2\n", f"cell_deg = {FINE_CELL_DEG}\n") + FINE_PYRAMID
+        config = output / f"{pictures.name}.toml"
+    elif wrong:
+        model = write_wrong_model(output / f"wrong-{wrong}.tif", wrong).name
+        config = output / f"wrong-{wrong}.toml"
+    else:
+        return flights.built_catalog(output / "tycho.toml", text, progress)
+    return flights.built_catalog(config, text.replace(f"bundled:{MODEL}", model), progress)
+
+
+def write_wrong_model(path: Path, seed: int) -> Path:
+    """The bundled model with errors of WRONG_M rms that are one to two postings wide."""
+    source = resource(f"data/{MODEL}")
+    with open_raster(source, TERRAIN) as dataset, reading_raster(source):
+        heights = dataset.read(1).astype(np.float32)
+        crs, transform = dataset.crs, dataset.transform
+    heights += descent_model.model_error(heights.shape, WRONG_M, np.random.default_rng(seed))
+    return flights.written_model(path, heights, crs, transform)
+
+
+def fly(
+    pictures: Path,
+    catalog: Path,
+    seed: int,
+    seconds: list[float],
+    acceleration_m_s2: float = 0.0,
+    windows_above_m: float = 0.0,
+) -> list[FlownFrame]:
+    """Fly pictures with a track of drawn errors; seconds gets those of the processor, a frame."""
+    worker = FrameWorker(RunInputs(pictures, [catalog]))
+    try:
+        folder = worker.folder
+        truths = read_truth(pictures / "truth.csv", folder.attitude)
+        track = InertialSettings(acceleration_sigma_m_s2=acceleration_m_s2)
+        times = tuple(truth.tdb_s - truths[0].tdb_s for truth in truths)
+        places, turns = track_errors(track, times, seed)
+        navigator = worker.descent(track, windows_above_m)
+        if navigator is None:
+            raise TypeError(f"{pictures} is no descent")
+        found = []
+        for k, (frame, truth) in enumerate(zip(folder.frames, truths, strict=True)):
+            stated = replace(
+                frame,
+                position_m=truth.position_m - places[k],
+                camera_from_body=Rotation.from_rotvec(turns[k]).inv() * truth.camera_from_body,
+            )
+            camera = folder.cameras[frame.camera]
+            try:
+                picture = frame_picture(pictures, frame.file, camera)
+            except DataError as error:  # all of it in shadow, as under the Sun of ground 33
+                reason = Reason(ReasonCode.BAD_PICTURE, str(error))
+                solution = Solution(frame.file, frame.utc, NoFix(reason))
+            else:
+                started = time.process_time()
+                solution = navigator.solve(stated, camera, picture)
+                seconds.append(time.process_time() - started)
+            ground = folder.body.radius_m + (navigator.ground_m(truth.position_m) or 0.0)
+            found.append(_flown(solution, truth, ground, last=k == len(truths) - 1))
+        return found
+    finally:
+        worker.close()
+
+
+def _flown(solution: Solution, truth: Truth, ground_m: float, *, last: bool) -> FlownFrame:
+    lat, lon, distance = (float(v) for v in latlon_from_xyz(truth.position_m))
+    height = distance - ground_m
+    fix = solution.fix
+    if fix is None:
+        return FlownFrame(height, None, None, solution, last)
+    off = fix.position_m - truth.position_m
+    nees = float(off @ np.linalg.solve(fix.covariance_m2, off)) / 3.0
+    return FlownFrame(height, off @ body_from_local(lat, lon), nees, solution, last)
