@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from scipy.optimize import minimize
+from tests.studies.cylinder_coding import coded_rows
 
 from catalog.arrays import FloatArray
 from catalog.config import resource
@@ -42,7 +43,6 @@ from optnav_cli.simulation.cylinder_scenario import CylinderScenario
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
-from tests.studies.cylinder_coding import coded_rows
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 CAMERA = "lab_20deg"

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from tests.studies.picked_lens import picked_lens_figures
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import load_body
@@ -18,7 +19,6 @@ from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
 from optnav_cli.navigation.picked_points import PickedFrames
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
-from tests.studies.picked_lens import picked_lens_figures
 from tests.studies.picked_orbits import series_figures
 from tests.studies.picked_pictures import CAMERA, RELIEF_M, PickedPicture, picked_picture
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms

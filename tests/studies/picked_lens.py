@@ -24,10 +24,10 @@ from optnav_cli.navigation.picked_points import PickedFrames
 from optnav_cli.orbit.problem import OrbitFix
 from optnav_cli.orbit.settings import ParameterSettings
 from optnav_cli.runs.picked_orbit import sight_of
-from optnav_cli.studies.orbit_fits import OrbitFigure, solved
-from optnav_cli.studies.orbit_flights import TrueFlight, ephemeris_of
-from optnav_cli.studies.picked_orbits import MINUTES, EarthFlights
-from optnav_cli.studies.picked_pictures import CAMERA, picked_picture
+from tests.studies.orbit_fits import OrbitFigure, solved
+from tests.studies.orbit_flights import TrueFlight, ephemeris_of
+from tests.studies.picked_orbits import MINUTES, EarthFlights
+from tests.studies.picked_pictures import CAMERA, picked_picture
 
 LENS, LENS_SIGMA = 0.005, 0.01  # stated focal length over the true one, less 1; its prior
 OFF_DEG, PLACE_M = 37.0, 10.0

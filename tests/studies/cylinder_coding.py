@@ -23,7 +23,7 @@ from optnav_cli.measurements.cylinder_profile import measure_profile
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
-from optnav_cli.studies.tables import Cell, rms
+from tests.studies.tables import Cell, rms
 
 CAMERA, SIZE = "lab_20deg", CylinderSize(0.14, 0.15)
 LIGHTS_DEG = ((3.0, 100.0), (100.0, 130.0), (130.0, 145.0))
