@@ -13,10 +13,10 @@ All errors that a user can mend are an `OptnavError`.
 
 from pathlib import Path
 
-from catalog.build.build import BuildReport, run
-from catalog.build.ingest import Bbox
 from catalog.control_point import ControlPoint, Flag, Patch
 from catalog.errors import OptnavError
+from catalog.pipeline.build import BuildReport, run
+from catalog.pipeline.ingest import Bbox
 from catalog.progress import Progress
 from catalog.store.reader import Catalog
 from catalog.store.verify import Verification, verify

@@ -18,8 +18,8 @@ from msgspec import inspect
 
 from catalog.bodies.body import BodyFile, SunOrbit, read_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
-from catalog.build.config import BuildConfig, load_build_config
 from catalog.errors import ConfigError, DataError
+from catalog.pipeline.config import BuildConfig, load_build_config
 from optnav_cli.camera.camera_file import CameraFileSettings, camera_toml, load_camera
 from optnav_cli.frames.archive_frame import ImportTable, load_table
 from optnav_cli.hazard.settings import HazardSettings

@@ -26,7 +26,7 @@ def load_camera(path: Path) -> object:
 
 
 def load_build(path: Path) -> object:
-    from catalog.build.config import load_build_config
+    from catalog.pipeline.config import load_build_config
 
     return load_build_config(path)
 
@@ -196,7 +196,7 @@ def wanted(type_: type[msgspec.Struct]) -> set[tuple[str, str]]:
 
 def config_type(kind: str) -> type[msgspec.Struct]:
     if kind == "build":
-        from catalog.build.config import BuildConfig
+        from catalog.pipeline.config import BuildConfig
 
         return BuildConfig
     if kind == "calibrate":

@@ -13,7 +13,7 @@ import click
 import pytest
 
 import catalog
-from catalog.build.config import load_build_config
+from catalog.pipeline.config import load_build_config
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.main import cli
 from tests.golden import documents

@@ -23,7 +23,7 @@ FLOORS = (
     {"catalog.rendering", "catalog.correlation"},
     {"catalog.selection", "catalog.store"},
     {"catalog.jobs", "catalog.inspect"},
-    {"catalog.build"},
+    {"catalog.pipeline"},
     {"catalog.api"},
     {"optnav_cli.reasons", "optnav_cli.parameters"},
     {"optnav_cli.fix"},

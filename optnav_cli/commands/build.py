@@ -20,8 +20,8 @@ from optnav_cli.options import (
 from optnav_cli.parameters import PATH
 
 if TYPE_CHECKING:
-    from catalog.build.build import BuildReport
-    from catalog.build.config import ConfigText
+    from catalog.pipeline.build import BuildReport
+    from catalog.pipeline.config import ConfigText
 
 CATALOG_ENDINGS = (".gpkg", "")
 _scheduler_option = scheduler_option(
@@ -84,7 +84,7 @@ def build(
       optnav build moon.toml -o moon.gpkg --check release.gpkg
       optnav build moon.toml -o moon.gpkg --scheduler tcp://head:8786
     """
-    from catalog.build.build import run
+    from catalog.pipeline.build import run
     from optnav_cli.commands.catalog import compare_and_tell, require_reference
 
     source = _source(config, body)
@@ -99,7 +99,7 @@ def build(
 
 def _source(given: Sequence[Path], body: str | None) -> "Path | ConfigText":
     """The config that is given, or that of the terrain models given. Raises UsageError."""
-    from catalog.build.config import RASTERS, ConfigText
+    from catalog.pipeline.config import RASTERS, ConfigText
     from catalog.terrain.mesh.file import MESHES
 
     rasters = [path for path in given if path.suffix.lower() in RASTERS]
@@ -135,7 +135,7 @@ def _stage(
     def call(
         progress: ConsoleProgress, /, config: Path, output: Path | None = None, **options: Any
     ) -> None:
-        from catalog.build.build import run
+        from catalog.pipeline.build import run
 
         announce_compilation()
         report = run(config, stages=(name,), output=output, progress=progress, **options)

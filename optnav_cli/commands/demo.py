@@ -55,9 +55,9 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     Example:
       optnav demo -o demo
     """
-    from catalog.build import build
     from catalog.config import resource
     from catalog.files import check_folder
+    from catalog.pipeline import build
     from catalog.places import claimed, make_folder
     from optnav_cli.evaluation.files import evaluate_run, write_evaluation
     from optnav_cli.evaluation.table import format_table

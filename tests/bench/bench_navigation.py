@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from catalog.build import build
 from catalog.config import resource
+from catalog.pipeline import build
 from catalog.progress import SilentProgress
 from catalog.store.reader import Catalog
 from optnav_cli.estimation.models.points import Pose

@@ -8,12 +8,12 @@ import pytest
 import rasterio
 
 from catalog.bodies.body import load_body
-from catalog.build import check, render, select
-from catalog.build.config import BodySettings, BuildConfig
-from catalog.build.context import StageContext
 from catalog.config import resource
 from catalog.correlation.surf64 import descriptors, match_surf
 from catalog.geometry.cells import CellGrid
+from catalog.pipeline import check, render, select
+from catalog.pipeline.config import BodySettings, BuildConfig
+from catalog.pipeline.context import StageContext
 from catalog.selection.localisation import hessian_eigenvalue_map
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings

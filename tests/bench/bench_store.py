@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from catalog.bodies.body import load_body
-from catalog.build.config import WriteSettings
 from catalog.config import resource
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.inspect.compare import compare
 from catalog.inspect.export import export
+from catalog.pipeline.config import WriteSettings
 from catalog.store.codec import encode
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import prepare_point

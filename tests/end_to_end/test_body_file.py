@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from catalog.build import build
 from catalog.config import resource
+from catalog.pipeline import build
 from catalog.progress import SilentProgress
 from optnav_cli import api
 from optnav_cli.evaluation.files import evaluate_run
@@ -14,7 +14,7 @@ from optnav_cli.frames.folder import read_folder
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
-from tests.catalog.build.coarse_tycho import BBOX, CONFIG
+from tests.catalog.pipeline.coarse_tycho import BBOX, CONFIG
 
 CAMERA = """
 name = "small"

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from catalog.config import resource
-from tests.catalog.build.killing import wait_for_the_end_of
+from tests.catalog.pipeline.killing import wait_for_the_end_of
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(CHECKOUT)}

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from catalog.arrays import ByteArray, FloatArray
 from catalog.bodies.body import load_body
-from catalog.build.config import load_build_config
 from catalog.geometry.latlon import wrap_longitude_deg
 from catalog.geometry.projection import Stereographic
 from catalog.inspect.draw import draw_pyramid
+from catalog.pipeline.config import load_build_config
 from catalog.rendering.map_view import render_map
 from catalog.store.reader import Catalog
 from catalog.terrain.dem.mosaic import Mosaic

@@ -23,9 +23,9 @@ import numpy as np
 
 from catalog.arrays import Float32Array
 from catalog.bodies.body import load_body
-from catalog.build import build
 from catalog.config import resource
 from catalog.files import starts_with, write_output
+from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.terrain.dem.file import SHARED_FOLDER

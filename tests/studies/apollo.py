@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from catalog.build import build
 from catalog.config import resource
 from catalog.geometry.rotations import rnb_axes
+from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.frames.isis_cube import read_cube_pose

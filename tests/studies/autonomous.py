@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.build import build
 from catalog.config import resource
 from catalog.errors import NothingToDoError
+from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.terrain.dem.file import path_of

@@ -15,8 +15,8 @@ from affine import Affine
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import load_body
-from catalog.build.ingest import Bbox
 from catalog.config import resource
+from catalog.pipeline.ingest import Bbox
 from catalog.rasters import TERRAIN, open_raster, reading_raster
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.source import DemSettings, DemSource

@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from catalog.build import check, render, select
-from catalog.build.config import CheckSettings, RenderSettings
-from catalog.build.context import StageContext
-from catalog.build.trials import outcomes_at
 from catalog.control_point import ControlPoint
 from catalog.geometry.cells import CellGrid
+from catalog.pipeline import check, render, select
+from catalog.pipeline.config import CheckSettings, RenderSettings
+from catalog.pipeline.context import StageContext
+from catalog.pipeline.trials import outcomes_at
 from catalog.progress import Progress
 from tests.studies.selection import SUNS, Z95, free_grounds, tycho_context
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns

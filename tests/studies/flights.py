@@ -15,12 +15,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import Float32Array
-from catalog.build import build
-from catalog.build.ingest import Bbox
 from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.files import starts_with, write_output
 from catalog.geometry.rotations import ARCSEC
+from catalog.pipeline import build
+from catalog.pipeline.ingest import Bbox
 from catalog.progress import Progress
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.error_model import StatedError

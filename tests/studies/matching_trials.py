@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import load_body
-from catalog.build import build
 from catalog.config import resource
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher
 from catalog.correlation.surf64 import match_surf
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
+from catalog.pipeline import build
 from catalog.progress import Progress
 from catalog.rendering.rays.scene import Scene as LitGround
 from catalog.store.reader import Catalog

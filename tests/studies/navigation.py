@@ -17,9 +17,9 @@ from pathlib import Path
 
 import msgspec
 
-from catalog.build.ingest import Bbox
 from catalog.config import resource
 from catalog.errors import NothingToDoError
+from catalog.pipeline.ingest import Bbox
 from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.terrain.dem.source import DemSettings

@@ -18,9 +18,9 @@ from scipy.linalg import sqrtm
 from scipy.optimize import minimize
 
 from catalog.arrays import FloatArray
-from catalog.build import build
 from catalog.config import resource
 from catalog.files import starts_with, write_output
+from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.evaluation.figures import FrameError

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from catalog.build import build
 from catalog.config import resource
 from catalog.jobs.usage import Account
+from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.evaluation.figures import FrameError, figures_of

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from catalog.build import build
 from catalog.config import resource
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.geometry.rotations import ARCSEC
 from catalog.geometry.vectors import squared_distance
+from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.estimation.models.common import Common

@@ -20,13 +20,13 @@ import cv2
 import numpy as np
 
 from catalog.bodies.body import load_body
-from catalog.build import check, render, select
-from catalog.build.cell_map import CellGround, cell_ground, separation_places, suns_of
-from catalog.build.config import BodySettings, BuildConfig, DemSection
-from catalog.build.context import StageContext
-from catalog.build.trials import outcomes_at
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
+from catalog.pipeline import check, render, select
+from catalog.pipeline.cell_map import CellGround, cell_ground, separation_places, suns_of
+from catalog.pipeline.config import BodySettings, BuildConfig, DemSection
+from catalog.pipeline.context import StageContext
+from catalog.pipeline.trials import outcomes_at
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
 from catalog.selection.spacing import choose_spaced, strongest_peaks

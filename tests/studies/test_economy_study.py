@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from catalog.bodies.body import load_body
-from catalog.build.config import BodySettings, BuildConfig, CheckSettings, RenderSettings
-from catalog.build.context import StageContext
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
+from catalog.pipeline.config import BodySettings, BuildConfig, CheckSettings, RenderSettings
+from catalog.pipeline.context import StageContext
 from catalog.progress import SilentProgress
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from catalog.build.build import run
 from catalog.config import resource
+from catalog.pipeline.build import run
 from catalog.progress import SilentProgress
 from tests.golden.documents import BENCHES, CHECKOUT, FIGURES, PART
 from tests.studies import apollo, photometry

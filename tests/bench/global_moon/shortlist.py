@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from catalog.bodies.body import load_body
-from catalog.build import shortlist
-from catalog.build.config import BodySettings, BuildConfig
-from catalog.build.context import StageContext
 from catalog.geometry.cells import CellGrid
+from catalog.pipeline import shortlist
+from catalog.pipeline.config import BodySettings, BuildConfig
+from catalog.pipeline.context import StageContext
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
 from tests.bench.global_moon import hillshade

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from catalog.build.build import run
 from catalog.config import resource
 from catalog.errors import WorkersError
-from tests.catalog.build.coarse_tycho import BBOX, CONFIG
+from catalog.pipeline.build import run
 from tests.catalog.jobs.dask_cluster import needs_distributed, until
+from tests.catalog.pipeline.coarse_tycho import BBOX, CONFIG
 
 
 @pytest.fixture(scope="module")

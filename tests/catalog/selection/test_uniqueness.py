@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from catalog.build.check import shadowed_share
+from catalog.pipeline.check import shadowed_share
 from catalog.selection.localisation import best_rival, uniqueness_margin
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from msgspec import inspect
 
 from catalog.bodies.body import BodyFile
-from catalog.build.config import BuildConfig
+from catalog.pipeline.config import BuildConfig
 from optnav_cli.camera.camera_file import CameraFileSettings
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.navigation.settings import NavigateSettings

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
-from catalog.build.config import ConfigText
 from catalog.config import named_config
 from catalog.errors import OptnavError
+from catalog.pipeline.config import ConfigText
 from catalog.terrain.dem.file import path_of
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.folder import read_folder

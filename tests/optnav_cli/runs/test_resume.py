@@ -25,8 +25,8 @@ from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.runs import frame_worker
 from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
-from tests.catalog.build.killing import wait_for_the_end_of
 from tests.catalog.jobs.dask_cluster import cluster_of, needs_distributed
+from tests.catalog.pipeline.killing import wait_for_the_end_of
 from tests.optnav_cli.runs.test_navigate_folder import write_rough
 
 MOON = load_body("moon")

@@ -11,16 +11,6 @@ import msgspec
 
 import catalog
 from catalog.bodies.body import Body, load_body
-from catalog.build import check, render, select, write
-from catalog.build.comparison import report_fit
-from catalog.build.config import BuildConfig, ConfigText
-from catalog.build.context import DemRecord, IngestRun
-from catalog.build.ingest import Bbox, MeshRecord
-from catalog.build.inputs import BuildInputs, prepare_inputs
-from catalog.build.relief import stored_relief
-from catalog.build.render import RenderedCell
-from catalog.build.select import SelectedCell
-from catalog.build.write import CatalogExtras, find_published, remember_published
 from catalog.control_point import ControlPoint
 from catalog.errors import ConfigError, NothingToDoError, UsageError
 from catalog.files import check_file
@@ -29,6 +19,16 @@ from catalog.jobs.cluster import check_address, cluster_workers
 from catalog.jobs.usage import Account, StageAccount
 from catalog.jobs.workers import available_cores, workers_of
 from catalog.jobs.workspace import MARK, ChunkResults, Workspace, encode_records, stage_key
+from catalog.pipeline import check, render, select, write
+from catalog.pipeline.comparison import report_fit
+from catalog.pipeline.config import BuildConfig, ConfigText
+from catalog.pipeline.context import DemRecord, IngestRun
+from catalog.pipeline.ingest import Bbox, MeshRecord
+from catalog.pipeline.inputs import BuildInputs, prepare_inputs
+from catalog.pipeline.relief import stored_relief
+from catalog.pipeline.render import RenderedCell
+from catalog.pipeline.select import SelectedCell
+from catalog.pipeline.write import CatalogExtras, find_published, remember_published
 from catalog.places import claimed
 from catalog.progress import Progress, SilentProgress, logged_stage
 from catalog.store.connection import SIDECARS, is_catalog_file

@@ -54,8 +54,8 @@ class Telling:
 
 
 def build(config, folder, workers):
-    from catalog.build.build import run
     from catalog.errors import OptnavError
+    from catalog.pipeline.build import run
 
     output = folder / "c.gpkg"
     try:

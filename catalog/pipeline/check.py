@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
-from catalog.build import cell_map, select
-from catalog.build.comparison import compared
-from catalog.build.context import StageContext
-from catalog.build.select import SelectedCell
-from catalog.build.trials import outcomes_at
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
 from catalog.correlation.surf64 import MIN_SIDE
 from catalog.geometry.projection import MapProjection
+from catalog.pipeline import cell_map, select
+from catalog.pipeline.comparison import compared
+from catalog.pipeline.context import StageContext
+from catalog.pipeline.select import SelectedCell
+from catalog.pipeline.trials import outcomes_at
 from catalog.rasters import held_settings
 from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples

@@ -13,10 +13,10 @@ import pytest
 import trimesh
 
 from catalog.bodies.body import Body, load_body
-from catalog.build.build import run
 from catalog.control_point import Flag
 from catalog.errors import ConfigError, DataError, NothingToDoError
 from catalog.geometry.projection import FLAT_RADIUS_M, TangentPlane
+from catalog.pipeline.build import run
 from catalog.store.manifest import rows_from_meta
 from catalog.store.reader import Catalog
 from catalog.store.verify import verify

@@ -15,13 +15,13 @@ from dataclasses import replace
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.build.context import StageContext
 from catalog.control_point import ComparisonShift, ControlPoint, Flag
 from catalog.correlation.ncc import match_ncc
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import MapProjection, Stereographic
+from catalog.pipeline.context import StageContext
 from catalog.rendering.map_view import render_map
 
 log = logging.getLogger(__name__)

@@ -12,16 +12,16 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
-from catalog.build.cell_map import (
+from catalog.geometry.cells import Graticule, Part
+from catalog.geometry.latlon import wrap_longitude_deg
+from catalog.pipeline.cell_map import (
     cell_ground,
     has_whole_patches,
     places_step,
     strongest_of,
     suns_of,
 )
-from catalog.build.context import StageContext
-from catalog.geometry.cells import Graticule, Part
-from catalog.geometry.latlon import wrap_longitude_deg
+from catalog.pipeline.context import StageContext
 from catalog.selection.localisation import sun_products
 from catalog.selection.sweep import MARGIN, strongest_windows, tile_sums, window_eigenvalues
 from catalog.terrain.terrain import Terrain

@@ -21,13 +21,13 @@ from typing import NamedTuple
 import msgspec
 
 import catalog
-from catalog.build.context import StageContext
 from catalog.control_point import ControlPoint
 from catalog.errors import DataError
 from catalog.files import stored_json
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import Workers
 from catalog.jobs.workspace import ChunkResults, Workspace
+from catalog.pipeline.context import StageContext
 from catalog.progress import Progress
 from catalog.rasters import held_settings
 from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state

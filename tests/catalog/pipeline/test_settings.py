@@ -2,8 +2,8 @@
 
 import pytest
 
-from catalog.build.config import load_build_config
 from catalog.errors import ConfigError
+from catalog.pipeline.config import load_build_config
 
 BODY = '[body]\nname = "phobos"\n'
 MESH = '[[mesh]]\npath = "a.obj"\nunits = "km"\n'

@@ -12,15 +12,15 @@ import rasterio
 from rasterio.transform import Affine
 from scipy.ndimage import gaussian_filter
 
-from catalog.build.build import run
 from catalog.config import resource
 from catalog.control_point import Flag
 from catalog.errors import ConfigError, DataError
 from catalog.inspect.export import export
 from catalog.inspect.summary import catalog_document, describe, describe_point, point_document
+from catalog.pipeline.build import run
 from catalog.store.reader import Catalog
 from catalog.store.verify import verify
-from tests.catalog.build.coarse_tycho import BBOX, CONFIG
+from tests.catalog.pipeline.coarse_tycho import BBOX, CONFIG
 
 EAST_M, NORTH_M = 150.0, -90.0  # in the file's map, whose scale along a parallel is that of 0 deg
 SECOND = '[[dem]]\npath = "second.tif"\nrole = "comparison"\n'

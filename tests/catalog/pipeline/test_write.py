@@ -9,9 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from catalog.build.config import WriteSettings
-from catalog.build.ingest import chunks_of
-from catalog.build.write import CatalogExtras, point_chunks, write
 from catalog.config import parse_toml
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.errors import ConfigError
@@ -19,6 +16,9 @@ from catalog.geometry.cells import CellGrid
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import SerialWorkers
 from catalog.jobs.workspace import ChunkResults, Workspace
+from catalog.pipeline.config import WriteSettings
+from catalog.pipeline.ingest import chunks_of
+from catalog.pipeline.write import CatalogExtras, point_chunks, write
 from catalog.progress import SilentProgress
 from catalog.store.patches import PreparedPoint
 from catalog.store.reader import Catalog

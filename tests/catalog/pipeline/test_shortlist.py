@@ -7,13 +7,13 @@ import pytest
 from rasterio.transform import Affine
 
 from catalog.bodies.body import load_body
-from catalog.build import shortlist
-from catalog.build.cell_map import blurred, cell_ground, suns_of
-from catalog.build.config import BodySettings, BuildConfig, PyramidSettings, RenderSettings
-from catalog.build.context import StageContext
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import angular_distance
+from catalog.pipeline import shortlist
+from catalog.pipeline.cell_map import blurred, cell_ground, suns_of
+from catalog.pipeline.config import BodySettings, BuildConfig, PyramidSettings, RenderSettings
+from catalog.pipeline.context import StageContext
 from catalog.selection.localisation import hessian_eigenvalue, sun_products
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings

@@ -14,13 +14,13 @@ import msgspec
 import numpy as np
 
 from catalog.arrays import FloatArray, IntArray
-from catalog.build.config import DemSection, PyramidSettings
-from catalog.build.context import DemRecord, IngestRun
-from catalog.build.relief import ReliefRecord, make_or_keep
 from catalog.errors import ConfigError, DataError, UsageError
 from catalog.files import hash_file, stored_json
 from catalog.geometry.cells import CellGrid
 from catalog.jobs.workspace import code_key, content_hash, stage_key
+from catalog.pipeline.config import DemSection, PyramidSettings
+from catalog.pipeline.context import DemRecord, IngestRun
+from catalog.pipeline.relief import ReliefRecord, make_or_keep
 from catalog.store.relief import prepare_relief
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.mosaic import Mosaic

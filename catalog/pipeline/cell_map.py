@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from catalog.build.config import RenderSettings
-from catalog.build.context import StageContext
 from catalog.geometry.latlon import wrap_longitude_deg
 from catalog.geometry.projection import MapProjection
+from catalog.pipeline.config import RenderSettings
+from catalog.pipeline.context import StageContext
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.localisation import hessian_eigenvalue_map, sun_products
 from catalog.selection.spacing import strongest_peaks

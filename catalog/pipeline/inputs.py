@@ -8,10 +8,13 @@ from typing import Any
 import msgspec
 
 import catalog
-from catalog.build.comparison import check_comparison
-from catalog.build.config import BuildConfig, DemSection, MeshSection, stated_error
-from catalog.build.context import DemRecord, IngestRun, StageContext
-from catalog.build.ingest import (
+from catalog.errors import ConfigError
+from catalog.geometry.cells import CellGrid
+from catalog.jobs.workspace import code_key, stage_key
+from catalog.pipeline.comparison import check_comparison
+from catalog.pipeline.config import BuildConfig, DemSection, MeshSection, stated_error
+from catalog.pipeline.context import DemRecord, IngestRun, StageContext
+from catalog.pipeline.ingest import (
     Bbox,
     MeshRecord,
     chunks_of,
@@ -21,10 +24,7 @@ from catalog.build.ingest import (
     settle_mesh_relief,
     settle_pyramid,
 )
-from catalog.build.relief import ReliefRecord, settle_relief
-from catalog.errors import ConfigError
-from catalog.geometry.cells import CellGrid
-from catalog.jobs.workspace import code_key, stage_key
+from catalog.pipeline.relief import ReliefRecord, settle_relief
 from catalog.store.manifest import ComparisonMeta
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.error_model import TerrainErrorModel

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from catalog.build.build import run
-from catalog.build.check import described_side
-from catalog.build.config import SIZES
 from catalog.correlation.surf64 import own_similarity_surface
 from catalog.errors import ConfigError, DataError, NothingToDoError
+from catalog.pipeline.build import run
+from catalog.pipeline.check import described_side
+from catalog.pipeline.config import SIZES
 from catalog.selection.localisation import uniqueness_margin
 
 CONFIG = '[body]\nname = "moon"\n[[dem]]\npath = "dem.tif"\n'

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from catalog.build.cell_map import MAX_MISSING
-from catalog.build.context import StageContext
-from catalog.build.render import RenderedCell
+from catalog.pipeline.cell_map import MAX_MISSING
+from catalog.pipeline.context import StageContext
+from catalog.pipeline.render import RenderedCell
 from catalog.selection.spacing import choose_spaced
 from catalog.store.records import rounded_place
 

@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
-from catalog.build import cell_map, check, render, select
-from catalog.build.config import (
+from catalog.config import resource
+from catalog.control_point import ControlPoint, Flag
+from catalog.geometry.cells import CellGrid
+from catalog.geometry.latlon import angular_distance
+from catalog.jobs.workspace import decode_records, encode_records
+from catalog.pipeline import cell_map, check, render, select
+from catalog.pipeline.config import (
     BodySettings,
     BuildConfig,
     CheckSettings,
@@ -17,14 +22,9 @@ from catalog.build.config import (
     RenderSettings,
     SelectSettings,
 )
-from catalog.build.context import StageContext
-from catalog.build.render import RenderedCell
-from catalog.build.select import SelectedCell
-from catalog.config import resource
-from catalog.control_point import ControlPoint, Flag
-from catalog.geometry.cells import CellGrid
-from catalog.geometry.latlon import angular_distance
-from catalog.jobs.workspace import decode_records, encode_records
+from catalog.pipeline.context import StageContext
+from catalog.pipeline.render import RenderedCell
+from catalog.pipeline.select import SelectedCell
 from catalog.rendering.map_view import render_map, render_map_quickly
 from catalog.selection.localisation import predict_match
 from catalog.terrain.dem.mosaic import Mosaic

@@ -5,15 +5,15 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from catalog.build.build import STAGES, run
 from catalog.config import resource
 from catalog.errors import ConfigError, DataError, NothingToDoError, OutputError, UsageError
 from catalog.inspect.summary import catalog_document, describe
 from catalog.jobs.workspace import code_key
+from catalog.pipeline.build import STAGES, run
 from catalog.store.manifest import rows_from_meta
 from catalog.store.reader import Catalog
 from catalog.store.verify import verify
-from tests.catalog.build.coarse_tycho import BBOX, CONFIG
+from tests.catalog.pipeline.coarse_tycho import BBOX, CONFIG
 
 
 @pytest.fixture

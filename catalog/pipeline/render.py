@@ -11,11 +11,11 @@ import msgspec
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.build.cell_map import FINE_LEVELS, blurred, missing_share, suns_of
-from catalog.build.context import StageContext
-from catalog.build.shortlist import shortlists
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import MapProjection
+from catalog.pipeline.cell_map import FINE_LEVELS, blurred, missing_share, suns_of
+from catalog.pipeline.context import StageContext
+from catalog.pipeline.shortlist import shortlists
 from catalog.rasters import held_settings
 from catalog.rendering.map_view import render_map_quickly
 from catalog.selection.localisation import hessian_eigenvalue, predict_match

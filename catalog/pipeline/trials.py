@@ -6,10 +6,10 @@ from functools import lru_cache
 import numpy as np
 
 from catalog.arrays import Float32Array
-from catalog.build.context import StageContext
 from catalog.control_point import Patch
 from catalog.correlation.ncc import blur_nodes
 from catalog.geometry.projection import MapProjection, Stereographic
+from catalog.pipeline.context import StageContext
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.trial import (
     FINER,

@@ -10,7 +10,7 @@
 Chunk functions run in worker processes and must not depend on which cells share a chunk. Records
 are msgspec.Structs, because they travel and rest as msgpack; numpy arrays in them are annotated
 `np.ndarray` and keep their type and shape. A stage's settings are a section of
-`catalog.build.config`.
+`catalog.pipeline.config`.
 """
 
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ import msgspec
 import numpy as np
 
 from catalog.bodies.body import Body
-from catalog.build.config import BuildConfig
 from catalog.control_point import Patch
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.projection import MapProjection
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workspace import Workspace
+from catalog.pipeline.config import BuildConfig
 from catalog.progress import Progress
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.terrain import Terrain

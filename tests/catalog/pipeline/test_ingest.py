@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from rasterio.transform import Affine
 
-from catalog.build.config import BodySettings, BuildConfig, DemSection
-from catalog.build.context import IngestRun
-from catalog.build.ingest import BLOCK_CELLS, chunks_of, covered_cells, ingest
 from catalog.errors import DataError, UsageError
 from catalog.geometry.cells import CellGrid
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workspace import Workspace
+from catalog.pipeline.config import BodySettings, BuildConfig, DemSection
+from catalog.pipeline.context import IngestRun
+from catalog.pipeline.ingest import BLOCK_CELLS, chunks_of, covered_cells, ingest
 from catalog.progress import SilentProgress
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings

@@ -6,28 +6,28 @@ import numpy as np
 import pytest
 from rasterio.transform import Affine
 
-from catalog.build.build import run
-from catalog.build.config import (
+from catalog.errors import ConfigError, DataError
+from catalog.inspect.compare import compare
+from catalog.jobs.usage import StageAccount
+from catalog.jobs.workspace import Workspace
+from catalog.pipeline.build import run
+from catalog.pipeline.config import (
     BodySettings,
     BuildConfig,
     DemSection,
     ReliefSettings,
     load_build_config,
 )
-from catalog.build.context import IngestRun
-from catalog.build.ingest import ingest
-from catalog.build.relief import settle_relief, stored_relief
-from catalog.errors import ConfigError, DataError
-from catalog.inspect.compare import compare
-from catalog.jobs.usage import StageAccount
-from catalog.jobs.workspace import Workspace
+from catalog.pipeline.context import IngestRun
+from catalog.pipeline.ingest import ingest
+from catalog.pipeline.relief import settle_relief, stored_relief
 from catalog.progress import SilentProgress
 from catalog.store.reader import Catalog
 from catalog.store.relief import prepare_relief
 from catalog.store.verify import verify
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.relief.sums import load_relief
-from tests.catalog.build.coarse_tycho import BBOX, CONFIG
+from tests.catalog.pipeline.coarse_tycho import BBOX, CONFIG
 
 NAMED = '[relief]\ndem = {path = "bundled:moon_gld100_4ppd.tif"}\n'
 PLAIN = CONFIG.replace(NAMED, "")

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from catalog.build.context import DemRecord, IngestRun
 from catalog.errors import DataError
 from catalog.jobs.workspace import Workspace, code_key, content_hash, encode_records, stage_key
+from catalog.pipeline.context import DemRecord, IngestRun
 from catalog.store.relief import PreparedRelief, prepare_relief
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSource

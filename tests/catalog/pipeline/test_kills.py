@@ -14,8 +14,8 @@ import msgspec
 import pytest
 
 from catalog.jobs.usage import Account
-from tests.catalog.build.coarse_tycho import CONFIG
-from tests.catalog.build.killing import wait_for_the_end_of
+from tests.catalog.pipeline.coarse_tycho import CONFIG
+from tests.catalog.pipeline.killing import wait_for_the_end_of
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="builds are forked")
 
