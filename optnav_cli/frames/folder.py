@@ -10,7 +10,7 @@ from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, write_camera
 from optnav_cli.frames.frames import Frame, picture_path, read_frames, write_frames
-from optnav_cli.frames.picked_points import POINTS_CSV, PickedPoint, read_picked_points
+from optnav_cli.frames.points import POINTS_CSV, PickedPoint, read_picked_points
 from optnav_cli.frames.run_settings import (
     FileAttitude,
     RunSettings,

@@ -16,7 +16,7 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import load_toml
 from catalog.errors import ConfigError
 from catalog.geometry.rotations import ARCSEC
-from optnav_cli.frames.stereo_mount import MountSettings, check_mounts
+from optnav_cli.frames.mounts import MountSettings, check_mounts
 
 RUN_TOML = "run.toml"
 MAX_ROUND = 1e-3  # flattening up to which [points] need not be stated

@@ -18,6 +18,7 @@ from optnav_cli.estimation.descent_filter import GATE
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.fix import Evidence, Fix, MatchKind, Method, NoFix, PositionPrior, Solution
 from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.observation import observation_of
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.matching.picture_pyramid import PicturePyramid
@@ -37,7 +38,6 @@ from optnav_cli.navigation.descent_windows import (
     match_window,
     view_of,
 )
-from optnav_cli.navigation.observation import observation_of
 from optnav_cli.navigation.relative_landmarks import Landmark, LandmarkTracks, SoughtLandmark
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 

@@ -17,7 +17,7 @@ from catalog.bodies.ephemeris import Ephemeris, Neighbour
 from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import angle_between, unit
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.segmentation import Blobs
+from optnav_cli.frames.segmentation import Blobs
 
 _OTHERS: dict[str, Neighbour] = {"moon": "earth", "earth": "moon"}
 SIGMAS = 3.0

@@ -40,7 +40,7 @@ from optnav_cli.fix import (
     number_of_name,
 )
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.picked_points import PickedPoint, places_of
+from optnav_cli.frames.points import PickedPoint, places_of
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
 from optnav_cli.navigation.picked_horizon import is_hidden
 from optnav_cli.navigation.settings import Construction

@@ -26,7 +26,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.frames.picture import Picture
-from optnav_cli.measurements.segmentation import Levels, Segmented, without_smear
+from optnav_cli.frames.segmentation import Levels, Segmented, without_smear
 from optnav_cli.measurements.silhouette import (
     PIECE,
     PIECE_STEP,

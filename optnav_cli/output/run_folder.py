@@ -19,7 +19,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.fix import MatchRow, Method, Solution
 from optnav_cli.frames.frames import time_sigma
-from optnav_cli.frames.picked_points import POINTS_CSV
+from optnav_cli.frames.points import POINTS_CSV
 from optnav_cli.frames.run_settings import (
     RUN_TOML,
     FileAttitude,

@@ -33,8 +33,9 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchKind, Method, NoFix, Solution
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame, picture_path
-from optnav_cli.frames.picked_points import POINTS_CSV, PickedPoint
+from optnav_cli.frames.observation import FROM_FILE
 from optnav_cli.frames.picture import LaterPicture, Picture, PictureSizeError, frame_picture
+from optnav_cli.frames.points import POINTS_CSV, PickedPoint
 from optnav_cli.frames.run_settings import RUN_TOML, InertialSettings
 from optnav_cli.measurements.stars.sky import SkyView, StarSight, star_sight
 from optnav_cli.navigation.answers import Answers, NavigationInputs, Outcome
@@ -42,7 +43,6 @@ from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.descent import DescentNavigator
 from optnav_cli.navigation.history import NeedsPastError, UnseenPast
-from optnav_cli.navigation.observation import FROM_FILE
 from optnav_cli.navigation.picked_points import PickedFrames
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.canvas import eight_bits

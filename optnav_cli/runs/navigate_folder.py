@@ -30,7 +30,7 @@ from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.fix import MatchRow, Method, Solution
 from optnav_cli.frames.orbit_tables import ZENITH
-from optnav_cli.frames.picked_points import POINTS_CSV
+from optnav_cli.frames.points import POINTS_CSV
 from optnav_cli.frames.run_settings import RUN_TOML
 from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.descent import DescentMemory, DescentNavigator

@@ -17,7 +17,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.fix import Fix, Method, Solution
 from optnav_cli.frames.folder import read_folder
-from optnav_cli.frames.picked_points import POINTS_CSV
+from optnav_cli.frames.points import POINTS_CSV
 from optnav_cli.navigation.picked_points import PickedFrames
 from optnav_cli.orbit.fit import OrbitFit
 from optnav_cli.orbit.settings import OrbitFitSettings, ParameterSettings

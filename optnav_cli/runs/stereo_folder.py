@@ -18,9 +18,9 @@ from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.mounts import MountSettings, stereo_pair
 from optnav_cli.frames.picture import frame_picture
 from optnav_cli.frames.run_settings import RUN_TOML
-from optnav_cli.frames.stereo_mount import MountSettings, stereo_pair
 from optnav_cli.frames.tables import HEIGHTS
 from optnav_cli.navigation.history import SAME_TIME_S
 from optnav_cli.output.manifest import hash_files, write_manifest

@@ -26,7 +26,7 @@ from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.stereo_mount import MountSettings, check_mounts, stereo_pair
+from optnav_cli.frames.mounts import MountSettings, check_mounts, stereo_pair
 from optnav_cli.simulation import sections
 from optnav_cli.simulation.exposure import PLACE, Epoch, Exposure, corner_rays
 from optnav_cli.simulation.passes import SunSettings, sun_over

@@ -24,6 +24,7 @@ from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.estimation.descent_filter import GATE
 from optnav_cli.estimation.models.points import Pose, predict
+from optnav_cli.frames.observation import observation_of
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.matching.picture_pyramid import PicturePyramid
@@ -46,7 +47,6 @@ from optnav_cli.navigation.descent_windows import (
     match_window,
     overlap,
 )
-from optnav_cli.navigation.observation import observation_of
 from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from optnav_cli.runs.inputs import open_ground
 from tests.studies import likelihood

@@ -26,6 +26,7 @@ from optnav_cli.estimation.least_squares import inverse_of, linearised
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.estimation.resection import errors_of_scatter, with_dependent_errors
 from optnav_cli.estimation.robust import variance_factor
+from optnav_cli.frames.observation import Observation, observation_of
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import Truth, read_truth
 from optnav_cli.matching.picture_pyramid import PicturePyramid
@@ -44,7 +45,6 @@ from optnav_cli.navigation.control_points.solve import (
     matched_frame,
     search_from,
 )
-from optnav_cli.navigation.observation import Observation, observation_of
 from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from tests.studies import albedo_fit, descent_fit, flights, horizon_fit, likelihood, navigation
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns

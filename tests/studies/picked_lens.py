@@ -18,7 +18,7 @@ from catalog.geometry.ellipsoid import geodetic_from_xyz
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.picked_points import PickedPoint
+from optnav_cli.frames.points import PickedPoint
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
 from optnav_cli.navigation.picked_points import PickedFrames
 from optnav_cli.orbit.problem import OrbitFix

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from tests.studies.picked_lens import picked_lens_figures
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import load_body
@@ -14,11 +13,12 @@ from catalog.progress import Progress
 from optnav_cli.estimation.picked_constructions import CircleGround, Picks, by_circles, by_tori
 from optnav_cli.fix import Fix, Solution
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.picked_points import PickedPoint
+from optnav_cli.frames.points import PickedPoint
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
 from optnav_cli.navigation.picked_points import PickedFrames
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
+from tests.studies.picked_lens import picked_lens_figures
 from tests.studies.picked_orbits import series_figures
 from tests.studies.picked_pictures import CAMERA, RELIEF_M, PickedPicture, picked_picture
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms

@@ -14,6 +14,7 @@ from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from catalog.progress import SilentProgress
 from optnav_cli.estimation.models.points import Sightings
 from optnav_cli.estimation.resection import errors_of_scatter
+from optnav_cli.frames.observation import Observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.truth import Truth
 from optnav_cli.navigation.control_points import error_model
@@ -25,7 +26,6 @@ from optnav_cli.navigation.control_points.error_model import (
     shipped_sizes,
 )
 from optnav_cli.navigation.control_points.solve import MatchedFrame
-from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import NavigateSettings
 from tests.studies import fit
 from tests.studies.__main__ import studies

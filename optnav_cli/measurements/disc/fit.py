@@ -16,11 +16,11 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.least_squares import Iteration, Linearisation, VectorPrior, solve
+from optnav_cli.frames.segmentation import Levels, measure_levels
 from optnav_cli.measurements.disc.size import blur_prior, disc_sizes
 from optnav_cli.measurements.limb.cone import Cone, stretched_rays
 from optnav_cli.measurements.limb.edge_fit import EdgeShape, Profiles, locate_edges
 from optnav_cli.measurements.limb.photometry import three_laws
-from optnav_cli.measurements.segmentation import Levels, measure_levels
 from optnav_cli.reasons import Reason, ReasonCode
 
 MAX_BENT_LIMB_PX = 60.0  # beyond it the straight limb's error is below 0.01 px

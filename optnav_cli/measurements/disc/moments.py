@@ -15,7 +15,7 @@ from catalog.geometry.latlon import xyz_from_latlon
 from catalog.photometry import hapke
 from catalog.photometry.laws import lambert, lommel_seeliger
 from catalog.terrain.relief.relief import GlobalRelief, relief_height
-from optnav_cli.measurements.segmentation import ROUNDING_VARIANCE, Blobs, Segmented
+from optnav_cli.frames.segmentation import ROUNDING_VARIANCE, Blobs, Segmented
 from optnav_cli.reasons import ReasonCode
 
 # Of Hapke's parameters the roughness moves a disc's light, by 0.006 radii and 2 % of its width;

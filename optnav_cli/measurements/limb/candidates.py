@@ -11,8 +11,8 @@ import numpy as np
 from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
+from optnav_cli.frames.segmentation import Blobs, Levels
 from optnav_cli.measurements.limb.cone import Cone, PixelRays, agreeing, distances
-from optnav_cli.measurements.segmentation import Blobs, Levels
 
 RUN_PX = 3  # dark pixels before a rise and bright ones after it
 MAX_CANDIDATES = 200_000  # a picture full of texture has no limb worth finding in it

@@ -6,9 +6,9 @@ from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import perpendicular_basis, unit
 from optnav_cli.camera.camera import Camera
+from optnav_cli.frames.segmentation import Blobs, Levels
 from optnav_cli.measurements.limb.candidates import BORDER_PX, MIN_BLOB_PIXELS, Candidates
 from optnav_cli.measurements.limb.cone import Cone, PixelRays, find_cone, stretched_rays
-from optnav_cli.measurements.segmentation import Blobs, Levels
 from optnav_cli.reasons import ReasonCode, distinct_texts
 
 MIN_BODY_PIXELS = 100  # lit; less is a disc for the brightness centre

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from catalog.arrays import FloatArray
+from optnav_cli.frames.segmentation import Levels
 from optnav_cli.measurements.limb.edge_fit import (
     EdgeShape,
     Profiles,
@@ -18,7 +19,6 @@ from optnav_cli.measurements.limb.edge_fit import (
     edge_residuals,
     locate_edges,
 )
-from optnav_cli.measurements.segmentation import Levels
 
 # Mean squares of the pattern's bins over their errors': drawn discs have 0.6-1.4 where counts are
 # linear, 1.5-26 under a square root; these with 0.6-1.4 where they are decoded right.

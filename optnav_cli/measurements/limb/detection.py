@@ -14,6 +14,7 @@ import numpy as np
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
+from optnav_cli.frames.segmentation import Segmented
 from optnav_cli.measurements.disc.fit import MAX_BENT_LIMB_PX, edge_bias_px
 from optnav_cli.measurements.limb import checks
 from optnav_cli.measurements.limb.candidates import (
@@ -35,7 +36,6 @@ from optnav_cli.measurements.limb.cone import (
     pixel_rays,
 )
 from optnav_cli.measurements.limb.edge_fit import profiles_across
-from optnav_cli.measurements.segmentation import Segmented
 from optnav_cli.reasons import ReasonCode
 
 MAX_POINTS = 3000

@@ -15,10 +15,10 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
+from optnav_cli.frames.segmentation import Levels
 from optnav_cli.measurements.limb.candidates import BORDER_PX, Candidates, outward_normals
 from optnav_cli.measurements.limb.cone import Cone, PixelRays, distances, stretched_rays
 from optnav_cli.measurements.limb.photometry import blurred_law, laws_across_limb, power_table
-from optnav_cli.measurements.segmentation import Levels
 from optnav_cli.reasons import ReasonCode
 
 # Profiles reach this far to the dark and to the bright side of the crossing, px along the scan,

@@ -14,10 +14,10 @@ from catalog.correlation.similarity import Matcher
 from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose
+from optnav_cli.frames.observation import Observation
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.search_plan import finest_level, template_nodes
 from optnav_cli.navigation.control_points.field import ControlPointField
-from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import NavigateSettings, ViewSettings
 from optnav_cli.reasons import Reason, ReasonCode, distinct_texts
 

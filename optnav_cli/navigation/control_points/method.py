@@ -27,6 +27,7 @@ from optnav_cli.fix import (
     PositionPrior,
     UnsolvedFrameError,
 )
+from optnav_cli.frames.observation import Observation
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE, MARGIN_NODES, PointMatch
 from optnav_cli.navigation.control_points import acceptance
@@ -47,7 +48,6 @@ from optnav_cli.navigation.control_points.solve import (
     search_from,
     solve,
 )
-from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 

@@ -16,7 +16,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Fix
 from optnav_cli.frames.picture import Picture
-from optnav_cli.measurements.segmentation import Blobs, Segmented, without_blobs
+from optnav_cli.frames.segmentation import Blobs, Segmented, without_blobs
 from optnav_cli.navigation import neighbour
 from optnav_cli.navigation.neighbour import CameraView, OtherBody, PredictedDisc, Spot
 from optnav_cli.navigation.outline.one_body import NEAR_ANGLE, solve

@@ -12,11 +12,11 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Fix
 from optnav_cli.frames.picture import Picture
+from optnav_cli.frames.segmentation import Segmented
 from optnav_cli.measurements.disc.fit import rad_per_px
 from optnav_cli.measurements.disc.moments import is_round
 from optnav_cli.measurements.limb.detection import LimbPoints, find_limb
 from optnav_cli.measurements.limb.sun_check import rejection_of_sun
-from optnav_cli.measurements.segmentation import Segmented
 from optnav_cli.navigation import silhouette
 from optnav_cli.navigation.disc import brightness_centre, whole_disc
 from optnav_cli.navigation.horizon import method as horizon

@@ -12,7 +12,7 @@ from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.picked_points import PickedPoint
+from optnav_cli.frames.points import PickedPoint
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
 from optnav_cli.navigation.picked_horizon import is_hidden
 from optnav_cli.navigation.picked_points import PickedFrames

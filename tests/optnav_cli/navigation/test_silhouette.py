@@ -17,7 +17,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Method
 from optnav_cli.frames.picture import Picture
-from optnav_cli.measurements.segmentation import Segmented, measure_levels, without_smear
+from optnav_cli.frames.segmentation import Segmented, measure_levels, without_smear
 from optnav_cli.navigation import silhouette
 from optnav_cli.navigation.neighbour import CameraView
 from optnav_cli.navigation.outline.one_body import solve

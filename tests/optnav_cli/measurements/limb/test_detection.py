@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
+from optnav_cli.frames.segmentation import measure_levels
 from optnav_cli.measurements.limb.detection import find_limb
 from optnav_cli.measurements.limb.sun_check import rejection_of_sun, sun_side_angle
-from optnav_cli.measurements.segmentation import measure_levels
 from tests.optnav_cli.conftest import pixel_grid
 from tests.optnav_cli.measurements.disc.drawn_discs import (
     RADIUS_M,

@@ -21,6 +21,7 @@ from catalog.terrain.error_model import TerrainErrorModel
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import PositionPrior, UnsolvedFrameError
+from optnav_cli.frames.observation import Observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.matching import point_match
 from optnav_cli.navigation.control_points import method
@@ -28,7 +29,6 @@ from optnav_cli.navigation.control_points import solve as solve_module
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.control_points.method import navigate
 from optnav_cli.navigation.control_points.solve import FEW
-from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, SolveSettings
 from optnav_cli.reasons import ReasonCode
 

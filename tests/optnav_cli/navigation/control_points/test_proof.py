@@ -7,10 +7,10 @@ import pytest
 
 from catalog.correlation.ncc import match_ncc
 from optnav_cli.fix import PositionPrior, UnsolvedFrameError
+from optnav_cli.frames.observation import Observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation.control_points import method
 from optnav_cli.navigation.control_points.proof import drop_disproven
-from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import ReasonCode
 

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from optnav_cli.measurements import segmentation
-from optnav_cli.measurements.segmentation import (
+from optnav_cli.frames import segmentation
+from optnav_cli.frames.segmentation import (
     HALO_PX,
     Segmented,
     _peak,
