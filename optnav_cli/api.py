@@ -22,6 +22,7 @@ from catalog.progress import Progress, SilentProgress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera as load_camera_file
 from optnav_cli.camera.camera_file import preset_camera
+from optnav_cli.control_points.settings import NavigateSettings, load_settings
 from optnav_cli.evaluation.evaluation import Evaluation
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.fix import Fix, Method, NoFix, Solution
@@ -29,7 +30,6 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.navigation.answers import NavigationInputs
 from optnav_cli.navigation.autonomous import Navigator
-from optnav_cli.navigation.settings import NavigateSettings, load_settings
 from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.report import write_report
 from optnav_cli.runs.frame_worker import RunInputs

@@ -21,10 +21,10 @@ from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import ConfigError, DataError
 from catalog.pipeline.config import BuildConfig, load_build_config
 from optnav_cli.camera.camera_file import CameraFileSettings, camera_toml, load_camera
+from optnav_cli.control_points.settings import NavigateSettings, load_settings
 from optnav_cli.frames.archive_frame import ImportTable, load_table
 from optnav_cli.hazard.settings import HazardSettings
 from optnav_cli.hazard.settings import load_settings as hazard_settings
-from optnav_cli.navigation.settings import NavigateSettings, load_settings
 from optnav_cli.simulation.approach import Approach
 from optnav_cli.simulation.descent import Descent
 from optnav_cli.simulation.inertial_path import InertialPath

@@ -44,7 +44,7 @@ def load_import(path: Path) -> object:
 
 
 def load_navigate(path: Path) -> object:
-    from optnav_cli.navigation.settings import NavigateSettings
+    from optnav_cli.control_points.settings import NavigateSettings
 
     return load_toml(path, NavigateSettings)
 
@@ -93,11 +93,11 @@ def load_orbit(path: Path) -> object:
 def load_model(path: Path) -> object:
     from catalog.correlation.relief_albedo import ReliefAlbedo
     from catalog.terrain.error_model import TerrainLaws
+    from optnav_cli.control_points.acceptance import AcceptanceLimits
+    from optnav_cli.control_points.error_model import PointErrorSizes
     from optnav_cli.hazard.model import HazardModel
     from optnav_cli.measurements.cylinder import CylinderErrorSizes
     from optnav_cli.measurements.disc.size import DiscErrorSizes
-    from optnav_cli.navigation.control_points.acceptance import AcceptanceLimits
-    from optnav_cli.navigation.control_points.error_model import PointErrorSizes
     from optnav_cli.navigation.descent_state import DescentErrorSizes
     from optnav_cli.navigation.horizon.sizes import HorizonSizes
     from optnav_cli.navigation.silhouette import SilhouetteErrors
@@ -204,7 +204,7 @@ def config_type(kind: str) -> type[msgspec.Struct]:
 
         return CalibrateSettings
     if kind == "navigate":
-        from optnav_cli.navigation.settings import NavigateSettings
+        from optnav_cli.control_points.settings import NavigateSettings
 
         return NavigateSettings
     if kind == "hazard":

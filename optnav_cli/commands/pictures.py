@@ -133,7 +133,7 @@ def navigate(
       optnav navigate pictures --catalog moon.gpkg -o run --workers 4
       optnav navigate pictures --relief bundled:moon_gld100_4ppd.tif -o run
     """
-    from optnav_cli.navigation.settings import NavigateSettings, load_settings
+    from optnav_cli.control_points.settings import NavigateSettings, load_settings
     from optnav_cli.output.run_folder import run_lines
     from optnav_cli.runs.frame_worker import RunInputs
     from optnav_cli.runs.navigate_folder import navigate_folder

@@ -15,8 +15,8 @@ from catalog.correlation.ncc import cropped, match_cut, quick_filtered
 from catalog.geometry.projection import node_grid
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 PATCH_NODES, MARGIN_NODES = 24, 8

@@ -20,13 +20,13 @@ import numpy as np
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.acceptance import rejection_of_place
 from optnav_cli.dynamics.arc import GATE
 from optnav_cli.fix import Evidence, Fix, Method, NoFix, PositionPrior, Solution
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.observation import FROM_FILE, Observation, observation_of
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation.answers import Answers, FrameMethods, NavigationInputs
-from optnav_cli.navigation.control_points.acceptance import rejection_of_place
 from optnav_cli.navigation.history import History
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 

@@ -14,6 +14,9 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.expectation import FrameContext
+from optnav_cli.control_points.field import ControlPointField
+from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.estimation.descent_filter import GATE
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.fix import Evidence, Fix, MatchKind, Method, NoFix, PositionPrior, Solution
@@ -21,10 +24,7 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.observation import observation_of
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.run_settings import InertialSettings
-from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.navigation.answers import Answers, FrameMethods, NavigationInputs
-from optnav_cli.navigation.control_points.expectation import FrameContext
-from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.descent_errors import SCALES, WindowError, WindowSpread, window_ground
 from optnav_cli.navigation.descent_rows import match_rows
 from optnav_cli.navigation.descent_state import JointState, Sighting, track_sigmas

@@ -20,7 +20,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.config import Positive, load_toml, resource
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
-from optnav_cli.matching.point_match import PointMatch
+from optnav_cli.control_points.point_match import PointMatch
 from optnav_cli.navigation.descent_windows import SIDE, Window, WindowKey, overlap
 
 FILE = "configs/models/descent.toml"

@@ -15,10 +15,10 @@ from catalog.arrays import FloatArray, IndexArray
 from catalog.geometry.rotations import ARCSEC
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.point_match import PointMatch
 from optnav_cli.estimation.descent_filter import GATE, DescentFilter, TrackErrors, Update
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.frames.run_settings import InertialSettings
-from optnav_cli.matching.point_match import PointMatch
 from optnav_cli.navigation.descent_errors import (
     DescentErrorSizes,
     WindowError,

@@ -25,18 +25,18 @@ from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.models.points import Pose
-from optnav_cli.matching.point_match import (
+from optnav_cli.control_points.expectation import FrameContext
+from optnav_cli.control_points.field import ControlPointField
+from optnav_cli.control_points.point_match import (
     MARGIN_NODES,
     MatchGates,
     PointMatch,
     match_point,
     nodes_a_sample,
 )
-from optnav_cli.matching.reference import Reference
-from optnav_cli.matching.search_plan import SearchPlan
-from optnav_cli.navigation.control_points.expectation import FrameContext
-from optnav_cli.navigation.control_points.field import ControlPointField
+from optnav_cli.control_points.reference import Reference
+from optnav_cli.control_points.search_plan import SearchPlan
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.reasons import Reason, ReasonCode
 
 # A window's side, postings, and the least one; of the square seen it takes at most this share.

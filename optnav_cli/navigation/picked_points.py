@@ -16,6 +16,7 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import geodetic_from_xyz, normal_at
 from catalog.geometry.latlon import latlon_from_xyz, wrap_longitude_deg
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.settings import Construction
 from optnav_cli.estimation.models.picked_points import AttitudePrior, LensPrior, PickedSightings
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.estimation.picked_constructions import (
@@ -43,7 +44,6 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.points import PickedPoint, places_of
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
 from optnav_cli.navigation.picked_horizon import is_hidden
-from optnav_cli.navigation.settings import Construction
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, longer
 
 PRIOR_SIGMAS = 5.0  # within which a prior decides between poses

@@ -9,6 +9,7 @@ from catalog.arrays import FloatArray
 from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.geometry.vectors import unit
+from optnav_cli.control_points.expectation import FrameContext
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.landmark import (
     MARGIN_NODES,
@@ -20,7 +21,6 @@ from optnav_cli.matching.landmark import (
     cut_patch,
     match_patch,
 )
-from optnav_cli.navigation.control_points.expectation import FrameContext
 from optnav_cli.navigation.descent_state import JointState
 from optnav_cli.navigation.descent_windows import WindowField
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode

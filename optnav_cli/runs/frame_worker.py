@@ -30,6 +30,8 @@ from catalog.jobs.workspace import pack, unpack
 from catalog.store.reader import Catalog
 from catalog.terrain.dem.file import path_of
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.field import ControlPointField
+from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.fix import MatchKind, Method, NoFix, Solution
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame, picture_path
@@ -40,11 +42,9 @@ from optnav_cli.frames.run_settings import RUN_TOML, InertialSettings
 from optnav_cli.measurements.stars.sky import SkyView, StarSight, star_sight
 from optnav_cli.navigation.answers import Answers, NavigationInputs, Outcome
 from optnav_cli.navigation.autonomous import Navigator
-from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.descent import DescentNavigator
 from optnav_cli.navigation.history import NeedsPastError, UnseenPast
 from optnav_cli.navigation.picked_points import PickedFrames
-from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_png, patch_outlines
 from optnav_cli.output.recording import recorded_image

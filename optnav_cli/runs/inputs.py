@@ -12,7 +12,7 @@ from catalog.errors import DataError, UsageError
 from catalog.store.reader import Catalog
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.relief.sums import load_relief
-from optnav_cli.navigation.control_points.field import ControlPointField, PointLayer
+from optnav_cli.control_points.field import ControlPointField, PointLayer
 
 
 @contextmanager

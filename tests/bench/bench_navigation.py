@@ -15,20 +15,20 @@ from catalog.config import resource
 from catalog.pipeline import build
 from catalog.progress import SilentProgress
 from catalog.store.reader import Catalog
+from optnav_cli.control_points.expectation import FrameContext, expected
+from optnav_cli.control_points.field import ControlPointField
+from optnav_cli.control_points.picture_pyramid import PicturePyramid
+from optnav_cli.control_points.point_match import MatchGates, match_point
+from optnav_cli.control_points.search_plan import SearchPlan
+from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import Solution
 from optnav_cli.frames.folder import Folder, read_folder, write_folder
 from optnav_cli.frames.observation import observation_of
 from optnav_cli.frames.picture import Picture, load_picture
-from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import MatchGates, match_point
-from optnav_cli.matching.search_plan import SearchPlan
 from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
-from optnav_cli.navigation.control_points.expectation import FrameContext, expected
-from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.neighbour import other_body
 from optnav_cli.navigation.outline import method as outline
-from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_png
 from optnav_cli.output.recording import Recording, recorded_image

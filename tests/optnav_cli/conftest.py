@@ -15,8 +15,8 @@ from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.rendering.map_view import render_map
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.field import ControlPointField, PointLayer
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.navigation.control_points.field import ControlPointField, PointLayer
 from tests.optnav_cli.made_runs import make_run  # noqa: F401, a fixture
 
 RADIUS_M = 1737400.0

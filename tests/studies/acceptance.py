@@ -31,11 +31,11 @@ from catalog.progress import Progress
 from catalog.terrain.dem.file import SHARED_FOLDER
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, preset_camera
+from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.observation import observation_of
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet, write_sheet
 from optnav_cli.report.svg import Plot, PlotAxis

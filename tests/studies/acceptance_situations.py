@@ -17,11 +17,11 @@ from catalog.correlation.ncc import match_ncc
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import ARCSEC
 from catalog.geometry.vectors import squared_distance, unit
+from optnav_cli.control_points import method as control_points
+from optnav_cli.control_points.field import ControlPointField
+from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.fix import GateMargins, PositionPrior, UnsolvedFrameError
 from optnav_cli.frames.observation import FROM_FILE, Observation
-from optnav_cli.navigation.control_points import method as control_points
-from optnav_cli.navigation.control_points.field import ControlPointField
-from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import ReasonCode
 from tests.studies import smooth_pictures
 

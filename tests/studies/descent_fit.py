@@ -22,13 +22,13 @@ from catalog.errors import NothingToDoError
 from catalog.files import check_file, starts_with, write_output
 from catalog.places import make_folder
 from catalog.progress import Progress
+from optnav_cli.control_points.expectation import FrameContext
+from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.estimation.descent_filter import GATE
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.frames.observation import observation_of
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.navigation.control_points.expectation import FrameContext
 from optnav_cli.navigation.descent_errors import (
     FILE,
     SCALES,

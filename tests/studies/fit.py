@@ -22,6 +22,21 @@ from catalog.files import check_file, starts_with, write_output
 from catalog.geometry.vectors import squared_distance
 from catalog.places import make_folder
 from catalog.progress import Progress
+from optnav_cli.control_points.error_model import (
+    FILE,
+    MatchedPoints,
+    PointErrorSizes,
+    scatter_shares,
+    shipped_sizes,
+)
+from optnav_cli.control_points.expectation import FrameContext, expected, select_evenly
+from optnav_cli.control_points.picture_pyramid import PicturePyramid
+from optnav_cli.control_points.solve import (
+    MatchedFrame,
+    match_all,
+    matched_frame,
+    search_from,
+)
 from optnav_cli.estimation.least_squares import inverse_of, linearised
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.estimation.resection import errors_of_scatter, with_dependent_errors
@@ -29,22 +44,7 @@ from optnav_cli.estimation.robust import variance_factor
 from optnav_cli.frames.observation import Observation, observation_of
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import Truth, read_truth
-from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.navigation.answers import NavigationInputs
-from optnav_cli.navigation.control_points.error_model import (
-    FILE,
-    MatchedPoints,
-    PointErrorSizes,
-    scatter_shares,
-    shipped_sizes,
-)
-from optnav_cli.navigation.control_points.expectation import FrameContext, expected, select_evenly
-from optnav_cli.navigation.control_points.solve import (
-    MatchedFrame,
-    match_all,
-    matched_frame,
-    search_from,
-)
 from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from tests.studies import albedo_fit, descent_fit, flights, horizon_fit, likelihood, navigation
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns

@@ -24,12 +24,17 @@ from catalog.store.reader import Catalog
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.picture_pyramid import PicturePyramid
+from optnav_cli.control_points.point_match import MatchGates, match_point
+from optnav_cli.control_points.reference import Reference
+from optnav_cli.control_points.search_plan import (
+    NO_DISTORTION,
+    Distortion,
+    SearchPlan,
+    plan_distortion,
+)
+from optnav_cli.control_points.settings import MatchSettings
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import MatchGates, match_point
-from optnav_cli.matching.reference import Reference
-from optnav_cli.matching.search_plan import NO_DISTORTION, Distortion, SearchPlan, plan_distortion
-from optnav_cli.navigation.settings import MatchSettings
 from optnav_cli.simulation.exposure import corner_rays
 from optnav_cli.simulation.region_ground import WHOLE, TruthTerrain
 from optnav_cli.simulation.sections import DetailSettings, SensorSettings, relief_below

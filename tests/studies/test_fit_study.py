@@ -12,21 +12,21 @@ from catalog.correlation.ncc import match_ncc
 from catalog.errors import NothingToDoError, OutputError
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from catalog.progress import SilentProgress
-from optnav_cli.estimation.models.points import Sightings
-from optnav_cli.estimation.resection import errors_of_scatter
-from optnav_cli.frames.observation import Observation
-from optnav_cli.frames.picture import Picture
-from optnav_cli.frames.truth import Truth
-from optnav_cli.navigation.control_points import error_model
-from optnav_cli.navigation.control_points.error_model import (
+from optnav_cli.control_points import error_model
+from optnav_cli.control_points.error_model import (
     FILE,
     MatchedPoints,
     PointErrorSizes,
     ground_correlation,
     shipped_sizes,
 )
-from optnav_cli.navigation.control_points.solve import MatchedFrame
-from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.control_points.settings import NavigateSettings
+from optnav_cli.control_points.solve import MatchedFrame
+from optnav_cli.estimation.models.points import Sightings
+from optnav_cli.estimation.resection import errors_of_scatter
+from optnav_cli.frames.observation import Observation
+from optnav_cli.frames.picture import Picture
+from optnav_cli.frames.truth import Truth
 from tests.studies import fit
 from tests.studies.__main__ import studies
 

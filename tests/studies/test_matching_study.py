@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optnav_cli.matching.reference import Reference
+from optnav_cli.control_points.reference import Reference
 from tests.studies.matching import MatchingRow, borne, picture, report, summarise, tolerance
 from tests.studies.matching_trials import (
     AXES,

@@ -12,8 +12,8 @@ from msgspec import inspect
 from catalog.bodies.body import BodyFile
 from catalog.pipeline.config import BuildConfig
 from optnav_cli.camera.camera_file import CameraFileSettings
+from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.frames.run_settings import RunSettings
-from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.simulation.approach import Approach
 from optnav_cli.simulation.descent import Descent
 from optnav_cli.simulation.inertial_path import InertialPath

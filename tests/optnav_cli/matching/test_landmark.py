@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import Float32Array
 from optnav_cli.camera.camera_file import preset_camera
+from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.landmark import (
     choose_pixels,
@@ -14,7 +15,6 @@ from optnav_cli.matching.landmark import (
     hessian_determinant,
     match_patch,
 )
-from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.reasons import ReasonCode
 
 CAMERA = preset_camera("tsnn2_wide")

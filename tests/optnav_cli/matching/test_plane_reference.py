@@ -20,11 +20,11 @@ from catalog.terrain.mesh.shape import Shape, load_shape
 from catalog.terrain.mesh.terrain import MeshTerrain
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera_file import preset_camera
+from optnav_cli.control_points.picture_pyramid import PicturePyramid
+from optnav_cli.control_points.point_match import MatchGates, match_point
+from optnav_cli.control_points.reference import Reference
+from optnav_cli.control_points.search_plan import SearchPlan
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import MatchGates, match_point
-from optnav_cli.matching.reference import Reference
-from optnav_cli.matching.search_plan import SearchPlan
 
 POSTING_M = 48.0
 PLACES_DEG = [(5.0, -8.0), (-20.0, 12.0), (15.0, 18.0), (-5.0, 22.0), (12.0, -14.0)]

@@ -14,6 +14,7 @@ from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.fix import (
     Evidence,
@@ -29,7 +30,6 @@ from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation import answers
 from optnav_cli.navigation.answers import NavigationInputs
 from optnav_cli.navigation.autonomous import Navigator
-from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import Reason, ReasonCode
 
 MOON = load_body("moon")

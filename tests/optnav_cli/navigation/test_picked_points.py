@@ -12,11 +12,11 @@ from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.errors import DataError, NothingToDoError
 from catalog.progress import SilentProgress
+from optnav_cli.control_points.settings import NavigateSettings, PickedSettings
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.points import places_of
 from optnav_cli.frames.run_settings import PointsSettings
-from optnav_cli.navigation.settings import NavigateSettings, PickedSettings
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.runs.frame_worker import RunInputs

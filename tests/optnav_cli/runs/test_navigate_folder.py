@@ -19,13 +19,13 @@ from catalog.errors import DataError, NothingToDoError
 from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
+from optnav_cli.control_points import method as control_points
+from optnav_cli.control_points.settings import MatchSettings, NavigateSettings, load_settings
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
-from optnav_cli.navigation.control_points import method as control_points
-from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, load_settings
 from optnav_cli.orbit.settings import NoiseSettings, OrbitFitSettings
 from optnav_cli.output import overlay
 from optnav_cli.output.run_folder import read_run

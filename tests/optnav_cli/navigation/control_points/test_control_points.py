@@ -19,17 +19,16 @@ from catalog.correlation.surf64 import match_surf
 from catalog.errors import DataError
 from catalog.terrain.error_model import TerrainErrorModel
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points import method, point_match
+from optnav_cli.control_points import solve as solve_module
+from optnav_cli.control_points.field import ControlPointField
+from optnav_cli.control_points.method import navigate
+from optnav_cli.control_points.settings import MatchSettings, NavigateSettings, SolveSettings
+from optnav_cli.control_points.solve import FEW
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import PositionPrior, UnsolvedFrameError
 from optnav_cli.frames.observation import Observation
 from optnav_cli.frames.picture import Picture
-from optnav_cli.matching import point_match
-from optnav_cli.navigation.control_points import method
-from optnav_cli.navigation.control_points import solve as solve_module
-from optnav_cli.navigation.control_points.field import ControlPointField
-from optnav_cli.navigation.control_points.method import navigate
-from optnav_cli.navigation.control_points.solve import FEW
-from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, SolveSettings
 from optnav_cli.reasons import ReasonCode
 
 SETTINGS = NavigateSettings(

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from optnav_cli.matching.point_match import SeenPart
-from optnav_cli.navigation.control_points.error_model import (
+from optnav_cli.control_points.error_model import (
     footprints,
     ground_correlation,
     overlap_correlation,
     own_shares,
 )
+from optnav_cli.control_points.point_match import SeenPart
 
 SIZE = (1000, 1000)
 

@@ -28,11 +28,11 @@ from catalog.correlation.relief_albedo import (
 from catalog.correlation.similarity import Matcher, best_pair, match_similarity, turned
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.picture_pyramid import PicturePyramid, as_seen, blur_px
+from optnav_cli.control_points.reference import Reference
+from optnav_cli.control_points.search_plan import NO_DISTORTION, SearchPlan
+from optnav_cli.control_points.smoothness import shows_ground
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.matching.picture_pyramid import PicturePyramid, as_seen, blur_px
-from optnav_cli.matching.reference import Reference
-from optnav_cli.matching.search_plan import NO_DISTORTION, SearchPlan
-from optnav_cli.matching.smoothness import shows_ground
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, distinct_texts
 
 # A reference lit or known over less than this share of its nodes is no picture of a place.

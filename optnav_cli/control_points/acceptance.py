@@ -24,9 +24,9 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.config import Positive, load_toml, resource
 from catalog.correlation.ncc import correlated, filtered
 from catalog.geometry.vectors import squared_distance
+from optnav_cli.control_points.point_match import CHANCE_NODES_PER_SAMPLE
 from optnav_cli.estimation.resection import Resection
 from optnav_cli.fix import PositionPrior
-from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 FILE = "configs/models/acceptance.toml"

@@ -10,21 +10,21 @@ from catalog.correlation.ncc import blur_nodes, thinning
 from catalog.correlation.peak import RIVAL_DISTANCE
 from catalog.correlation.relief_albedo import ReliefAlbedo, frame_strengths
 from catalog.errors import NoSolutionError
-from optnav_cli.estimation.models.points import Pose, ProjectingCamera, Sightings, predict
-from optnav_cli.estimation.resection import Resection, resect_robustly
-from optnav_cli.matching.point_match import MatchGates, PointMatch, match_point
-from optnav_cli.matching.search_plan import (
+from optnav_cli.control_points import error_model
+from optnav_cli.control_points.expectation import (
+    ExpectedPoints,
+    FrameContext,
+    select_evenly,
+)
+from optnav_cli.control_points.point_match import MatchGates, PointMatch, match_point
+from optnav_cli.control_points.search_plan import (
     SearchPlan,
     ground_uncertainty_m,
     plan_distortion,
     search_room,
 )
-from optnav_cli.navigation.control_points import error_model
-from optnav_cli.navigation.control_points.expectation import (
-    ExpectedPoints,
-    FrameContext,
-    select_evenly,
-)
+from optnav_cli.estimation.models.points import Pose, ProjectingCamera, Sightings, predict
+from optnav_cli.estimation.resection import Resection, resect_robustly
 from optnav_cli.reasons import Reason, ReasonCode
 
 # Rolls and scales are tried this far; beyond it the search in place would miss the point too.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from optnav_cli.matching.smoothness import find_count_step, shows_ground
+from optnav_cli.control_points.smoothness import find_count_step, shows_ground
 from tests.studies.smooth_pictures import BITS, KINDS, draw_smooth_picture
 
 MARGIN = 8

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.matching.picture_pyramid import (
+from optnav_cli.control_points.picture_pyramid import (
     ASSUMED_PSF_PX,
     PicturePyramid,
     as_seen,

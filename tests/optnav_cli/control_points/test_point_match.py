@@ -13,12 +13,12 @@ from catalog.correlation.ncc import match_ncc
 from catalog.correlation.relief_albedo import shipped_strengths, steepness_and_crests
 from catalog.correlation.surf64 import match_surf
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points import point_match
+from optnav_cli.control_points.picture_pyramid import PicturePyramid
+from optnav_cli.control_points.point_match import MatchGates, match_point
+from optnav_cli.control_points.reference import Reference
+from optnav_cli.control_points.search_plan import Distortion, SearchPlan
 from optnav_cli.estimation.models.points import Pose, predict
-from optnav_cli.matching import point_match
-from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import MatchGates, match_point
-from optnav_cli.matching.reference import Reference
-from optnav_cli.matching.search_plan import Distortion, SearchPlan
 from optnav_cli.reasons import ReasonCode
 from tests.optnav_cli.conftest import pixel_grid
 

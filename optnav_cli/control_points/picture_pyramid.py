@@ -17,7 +17,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.grid import bicubic_at
 from catalog.geometry.kernel import bare_kernel, kernel
 from optnav_cli.camera.camera import PIXEL_SIGMA_PX, Camera
-from optnav_cli.matching.smoothness import find_count_step
+from optnav_cli.control_points.smoothness import find_count_step
 
 FULL_SQUARE_PX = 5  # side of full squares that show no pattern
 BLOCK = 512  # places that are sampled side by side

@@ -20,7 +20,7 @@ from catalog.geometry.vectors import unit
 from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import PlanesMeta
 from catalog.terrain.error_model import TerrainErrorModel, rms_slope
-from optnav_cli.matching.reference import Reference
+from optnav_cli.control_points.reference import Reference
 
 # References kept ready to render; one of 80 nodes and 5 levels takes 130 kB.
 MAX_REFERENCES = 2000

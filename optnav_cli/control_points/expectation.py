@@ -13,12 +13,12 @@ from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.correlation.similarity import Matcher
 from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.field import ControlPointField
+from optnav_cli.control_points.picture_pyramid import PicturePyramid
+from optnav_cli.control_points.search_plan import finest_level, template_nodes
+from optnav_cli.control_points.settings import NavigateSettings, ViewSettings
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.frames.observation import Observation
-from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.search_plan import finest_level, template_nodes
-from optnav_cli.navigation.control_points.field import ControlPointField
-from optnav_cli.navigation.settings import NavigateSettings, ViewSettings
 from optnav_cli.reasons import Reason, ReasonCode, distinct_texts
 
 # A point may lie so far beyond the frame, share of its template's side, if a part is enough.

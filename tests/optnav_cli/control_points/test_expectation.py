@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.expectation import CandidatePoints, expected_in_view
+from optnav_cli.control_points.settings import ViewSettings
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.navigation.control_points.expectation import CandidatePoints, expected_in_view
-from optnav_cli.navigation.settings import ViewSettings
 
 RADIUS_M = 1737400.0
 SIZE = (1000, 1000)

@@ -16,6 +16,27 @@ from catalog.correlation.ncc import blur_nodes, cropped, thinned, thinning
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance, unit
+from optnav_cli.control_points import acceptance
+from optnav_cli.control_points.error_model import footprints, own_shares
+from optnav_cli.control_points.expectation import (
+    ExpectedPoints,
+    FrameContext,
+    expected,
+    select_evenly,
+    why_nothing_in_view,
+)
+from optnav_cli.control_points.field import ControlPointField
+from optnav_cli.control_points.picture_pyramid import PicturePyramid
+from optnav_cli.control_points.point_match import CHANCE_NODES_PER_SAMPLE, MARGIN_NODES, PointMatch
+from optnav_cli.control_points.proof import PROOF_NODES, drop_disproven
+from optnav_cli.control_points.settings import NavigateSettings
+from optnav_cli.control_points.solve import (
+    accepted,
+    agreeing_few,
+    match_all,
+    search_from,
+    solve,
+)
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.estimation.resection import Resection
 from optnav_cli.fix import (
@@ -28,27 +49,6 @@ from optnav_cli.fix import (
     UnsolvedFrameError,
 )
 from optnav_cli.frames.observation import Observation
-from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE, MARGIN_NODES, PointMatch
-from optnav_cli.navigation.control_points import acceptance
-from optnav_cli.navigation.control_points.error_model import footprints, own_shares
-from optnav_cli.navigation.control_points.expectation import (
-    ExpectedPoints,
-    FrameContext,
-    expected,
-    select_evenly,
-    why_nothing_in_view,
-)
-from optnav_cli.navigation.control_points.field import ControlPointField
-from optnav_cli.navigation.control_points.proof import PROOF_NODES, drop_disproven
-from optnav_cli.navigation.control_points.solve import (
-    accepted,
-    agreeing_few,
-    match_all,
-    search_from,
-    solve,
-)
-from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # The pose stands still when a pass moves it by less than this share of its sigma, or the points in

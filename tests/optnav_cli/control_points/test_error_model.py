@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
-from optnav_cli.navigation.control_points.error_model import (
+from optnav_cli.control_points.error_model import (
     MatchedPoints,
     bias_px,
     common_errors_px,

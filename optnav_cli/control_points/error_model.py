@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from catalog.arrays import BoolArray, FloatArray
 from catalog.config import Positive, load_toml, resource
 from catalog.geometry.vectors import unit
-from optnav_cli.matching.point_match import SeenPart
+from optnav_cli.control_points.point_match import SeenPart
 
 # Side of the grid on which parts of the frame are counted: a template spans dozens of its cells.
 CELLS = 128

@@ -5,7 +5,7 @@ import pytest
 
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import xyz_from_latlon
-from optnav_cli.navigation.control_points.field import ControlPointField, PointLayer
+from optnav_cli.control_points.field import ControlPointField, PointLayer
 
 RADIUS_M = 1_737_400.0
 

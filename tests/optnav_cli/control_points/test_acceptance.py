@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from optnav_cli.fix import PositionPrior
-from optnav_cli.navigation.control_points.acceptance import (
+from optnav_cli.control_points.acceptance import (
     acceptance_limits,
     decades_of_parts,
     log10_false_alarms,
@@ -14,7 +13,8 @@ from optnav_cli.navigation.control_points.acceptance import (
     rejection_of_parts,
     rejection_of_place,
 )
-from optnav_cli.navigation.control_points.solve import least_score
+from optnav_cli.control_points.solve import least_score
+from optnav_cli.fix import PositionPrior
 from optnav_cli.reasons import ReasonCode
 
 DECADES = acceptance_limits().decades

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from catalog.correlation.ncc import match_ncc
+from optnav_cli.control_points import method
+from optnav_cli.control_points.proof import drop_disproven
+from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.fix import PositionPrior, UnsolvedFrameError
 from optnav_cli.frames.observation import Observation
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation.control_points import method
-from optnav_cli.navigation.control_points.proof import drop_disproven
-from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import ReasonCode
 
 NEAR_M = 20.0  # sigma of a prior from which no search has room for a rival

@@ -9,7 +9,7 @@ from catalog.geometry.grid import bicubic_at
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.rendering.map_view import render_map
-from optnav_cli.matching.reference import Reference, _fill_from
+from optnav_cli.control_points.reference import Reference, _fill_from
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optnav_cli.matching.search_plan import (
+from optnav_cli.control_points.search_plan import (
     NO_DISTORTION,
     finest_level,
     ground_uncertainty_m,

@@ -1,1 +1,0 @@
-"""Navigation by control points: prediction, matching, resection, acceptance."""
