@@ -97,12 +97,12 @@ def load_model(path: Path) -> object:
     from optnav_cli.control_points.error_model import PointErrorSizes
     from optnav_cli.hazard.model import HazardModel
     from optnav_cli.measurements.cylinder import CylinderErrorSizes
-    from optnav_cli.measurements.disc.size import DiscErrorSizes
     from optnav_cli.navigation.descent_state import DescentErrorSizes
-    from optnav_cli.navigation.horizon.sizes import HorizonSizes
-    from optnav_cli.navigation.silhouette import SilhouetteErrors
     from optnav_cli.orbit.motion import OrbitNoiseSizes
     from optnav_cli.orbit.shared_errors import SharedErrorSizes
+    from optnav_cli.outline.disc.size import DiscErrorSizes
+    from optnav_cli.outline.limb.sizes import HorizonSizes
+    from optnav_cli.outline.silhouette.method import SilhouetteErrors
 
     types: dict[str, type[object]] = {
         "acceptance": AcceptanceLimits,

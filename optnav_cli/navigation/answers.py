@@ -21,8 +21,8 @@ from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.fix import Fix, Method, NoFix, PositionPrior, Solution, UnsolvedFrameError
 from optnav_cli.frames.observation import Observation
-from optnav_cli.navigation.neighbour import other_body
-from optnav_cli.navigation.outline import method as outline
+from optnav_cli.outline import method as outline
+from optnav_cli.outline.neighbour import other_body
 from optnav_cli.reasons import Reason
 
 # Answers of a frame by their questions: bytes of `pack`.

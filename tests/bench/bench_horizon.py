@@ -5,9 +5,9 @@ import pytest
 
 from catalog.terrain.relief.sums import load_relief
 from catalog.terrain.skyline.limb import nadir_axes
-from optnav_cli.estimation.models.limb import fit_limb
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation.outline.method import navigate
+from optnav_cli.outline.limb.model import fit_limb
+from optnav_cli.outline.method import navigate
 from tests.bench.timing import best, one_core, result, sized, within
 from tests.optnav_cli.conftest import pixel_grid
 from tests.optnav_cli.navigation.horizon.limbs import CAMERA, MOON, attitude, place
@@ -72,7 +72,7 @@ def test_a_whole_frame_over_relief():
 
 def _drawn(relief, position, turned):
     """Counts (2048, 2048) of a body bright up to its skyline, blurred by a pixel's share."""
-    from optnav_cli.navigation.horizon.relief_skyline import relief_skyline
+    from optnav_cli.outline.limb.relief_skyline import relief_skyline
 
     axes = nadir_axes(position)
     table = np.linspace(-np.pi, np.pi, 4001)

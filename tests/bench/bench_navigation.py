@@ -27,8 +27,8 @@ from optnav_cli.frames.folder import Folder, read_folder, write_folder
 from optnav_cli.frames.observation import observation_of
 from optnav_cli.frames.picture import Picture, load_picture
 from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
-from optnav_cli.navigation.neighbour import other_body
-from optnav_cli.navigation.outline import method as outline
+from optnav_cli.outline import method as outline
+from optnav_cli.outline.neighbour import other_body
 from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_png
 from optnav_cli.output.recording import Recording, recorded_image

@@ -18,7 +18,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
-from optnav_cli.estimation.models.limb import fit_limb, linear_position
+from optnav_cli.outline.limb.model import fit_limb, linear_position
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from tests.studies.tables import StudyReport, StudyTable, columns, rms

@@ -38,7 +38,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation.outline import method as outline
+from optnav_cli.outline import method as outline
 from optnav_cli.simulation.exposure import Epoch, Exposure, TruthGround
 from optnav_cli.simulation.globe_ground import GlobeGround
 from optnav_cli.simulation.mesh_ground import MeshGround

@@ -29,10 +29,10 @@ from optnav_cli.fix import Fix
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.navigation.horizon import method as horizon
-from optnav_cli.navigation.neighbour import CameraView, other_body
-from optnav_cli.navigation.outline.method import outline_of
-from optnav_cli.navigation.outline.one_body import detect_limb
+from optnav_cli.outline.limb import method as horizon
+from optnav_cli.outline.method import outline_of
+from optnav_cli.outline.neighbour import CameraView, other_body
+from optnav_cli.outline.one_body import detect_limb
 from tests.studies import flights, horizon_flights
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 

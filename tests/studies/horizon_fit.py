@@ -27,18 +27,18 @@ from catalog.terrain.relief.sums import load_relief
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.measurements.limb.detection import LimbPoints
-from optnav_cli.navigation.horizon.limb_rays import (
+from optnav_cli.outline.limb.detection import LimbPoints
+from optnav_cli.outline.limb.limb_rays import (
     LimbRays,
     edge_errors,
     in_sectors,
     limb_rays_of,
     rough_errors,
 )
-from optnav_cli.navigation.horizon.relief_skyline import relief_skyline
-from optnav_cli.navigation.horizon.sizes import FILE, HorizonSizes, horizon_sizes
-from optnav_cli.navigation.horizon.skyline import follow, usable_rays, with_limb_errors
-from optnav_cli.navigation.outline.one_body import detect_limb
+from optnav_cli.outline.limb.relief_skyline import relief_skyline
+from optnav_cli.outline.limb.sizes import FILE, HorizonSizes, horizon_sizes
+from optnav_cli.outline.limb.skyline import follow, usable_rays, with_limb_errors
+from optnav_cli.outline.one_body import detect_limb
 from tests.studies import flights, horizon_flights, likelihood
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 

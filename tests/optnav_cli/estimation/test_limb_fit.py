@@ -6,7 +6,7 @@ from scipy.optimize import brentq, least_squares
 
 from catalog.errors import NoSolutionError
 from catalog.terrain.skyline.limb import nadir_axes
-from optnav_cli.estimation.models.limb import fit_limb, linear_position
+from optnav_cli.outline.limb.model import fit_limb, linear_position
 
 SHAPES = {
     "sphere": (1737400.0, 1737400.0, 1737400.0),

@@ -13,7 +13,7 @@ from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.mesh.shape import load_shape
 from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
-from optnav_cli.measurements.disc.moments import is_round, light_moments, sphere_moments
+from optnav_cli.outline.disc.moments import is_round, light_moments, sphere_moments
 
 PHOBOS = load_body("phobos")
 MEAN_M = float(np.mean(PHOBOS.radii_m))

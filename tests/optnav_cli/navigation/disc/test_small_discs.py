@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation.outline import method as outline
+from optnav_cli.outline import method as outline
 from tests.optnav_cli.measurements.disc.drawn_discs import (
     FINE,
     blurred_disc,

@@ -9,7 +9,7 @@ from catalog.bodies.body import load_body
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.measurements.limb.detection import LimbPoints
+from optnav_cli.outline.limb.detection import LimbPoints
 
 MOON = load_body("moon")
 CAMERA = preset_camera("shnk")

@@ -12,12 +12,12 @@ from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.relief.sums import load_relief
 from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
-from optnav_cli.estimation.models.limb import azimuths_about_nadir, fit_limb
-from optnav_cli.navigation.horizon.limb_rays import limb_rays_of, relief_covariance, rough_errors
-from optnav_cli.navigation.horizon.method import navigate
-from optnav_cli.navigation.horizon.relief_skyline import relief_skyline
-from optnav_cli.navigation.horizon.sizes import horizon_sizes
-from optnav_cli.navigation.horizon.skyline import follow
+from optnav_cli.outline.limb.limb_rays import limb_rays_of, relief_covariance, rough_errors
+from optnav_cli.outline.limb.method import navigate
+from optnav_cli.outline.limb.model import azimuths_about_nadir, fit_limb
+from optnav_cli.outline.limb.relief_skyline import relief_skyline
+from optnav_cli.outline.limb.sizes import horizon_sizes
+from optnav_cli.outline.limb.skyline import follow
 from tests.optnav_cli.navigation.horizon.limbs import (
     CAMERA,
     MOON,

@@ -16,10 +16,10 @@ from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.measurements.limb.detection import LimbPoints, find_limb
-from optnav_cli.navigation.horizon.limb_rays import LimbRays
-from optnav_cli.navigation.horizon.method import navigate
-from optnav_cli.navigation.horizon.shape_skyline import (
+from optnav_cli.outline.limb.detection import LimbPoints, find_limb
+from optnav_cli.outline.limb.limb_rays import LimbRays
+from optnav_cli.outline.limb.method import navigate
+from optnav_cli.outline.limb.shape_skyline import (
     ShapeSkyline,
     is_shape,
     relief_fraction,

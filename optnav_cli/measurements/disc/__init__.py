@@ -1,1 +1,0 @@
-"""Small discs: their centre, size and phase in one picture."""

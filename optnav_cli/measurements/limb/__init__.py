@@ -1,1 +1,0 @@
-"""The lit limb of a body in one picture."""

@@ -1,1 +1,0 @@
-"""Navigation by discs that are too small for a limb."""

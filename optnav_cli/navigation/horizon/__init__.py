@@ -1,1 +1,0 @@
-"""Horizon navigation: the camera's position from the lit limb, with and without relief."""

@@ -1,1 +1,0 @@
-"""A position from a body's outline alone: its limb, or its disc where that is too small."""

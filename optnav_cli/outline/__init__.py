@@ -1,0 +1,1 @@
+"""Positions from a body's outline: limb, small disc, silhouette, neighbour."""

@@ -1,0 +1,1 @@
+"""The small disc: brightness centre and apparent size."""

@@ -1,0 +1,1 @@
+"""The limb: edge points, cone, skyline of the relief."""

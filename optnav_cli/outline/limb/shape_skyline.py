@@ -1,0 +1,200 @@
+"""The silhouette of a small body's shape, and how far measured rays lie beside it.
+
+A small body's relief is no small part of its radius: limbs lean, by tens of degrees against a
+circle's, and are concave. Off the nadir of its centre the silhouette of ground that every direction
+from the centre meets once is single-valued all the same, so `LimbRelief` finds it whole. Ground
+that some meet more often (a contact binary's neck) is known by its outermost surface only: its
+silhouette is too wide there, and these rays have to be outvoted.
+Offsets are counted along the silhouette's own normal: as the camera moves, the crest that a ray
+grazes stays the same to first order, so an offset changes as if that crest were a fixed point.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from catalog.arrays import BoolArray, FloatArray
+from catalog.bodies.body import Body
+from catalog.errors import NoSolutionError
+from catalog.geometry.vectors import squared_distance
+from catalog.terrain.relief.relief import GlobalRelief
+from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
+from optnav_cli.estimation.least_squares import Estimate
+from optnav_cli.estimation.robust import scatter
+from optnav_cli.outline.limb.detection import RELIEF
+from optnav_cli.outline.limb.limb_rays import LimbRays
+from optnav_cli.outline.limb.model import silhouette_step
+from optnav_cli.outline.limb.sizes import horizon_sizes
+from optnav_cli.outline.limb.skyline import Followed, SkylineFit, usable_rays
+from optnav_cli.reasons import ReasonCode
+
+SHAPE_SHARE = 0.05  # of the radius, highest to lowest: the Moon has 0.011, Phobos 0.5
+SHADOW_CLEARANCE = 0.16  # in cells
+MIN_AZIMUTHS, MAX_AZIMUTHS = 360, 2880
+STEEPEST_COSINE = 0.35  # where a limb leans more against the circle's, azimuths are no measure
+MAX_PASSES = 15
+STILL_SIGMAS = 0.05  # a pass that moves the position by less of its sigma is the last
+MIN_CUT_PX = 0.5
+MIN_KEPT_SHARE = 0.7  # of the lit points; of Phobos' 93 % and more are kept
+# Scatter over the expected one; right limbs stay below 1.3, wrong attitudes begin at 4.
+MAX_MISFIT = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Silhouette:
+    """The silhouette at each ray.
+
+    offsets   (n,)   rad, the ray beyond the silhouette along the silhouette's normal
+    rates     (n, 3) d offset / d position, rad a m
+    ranges    (n,)   m, from the camera to the crest
+    usable    (n,)   whether the crest is lit and the silhouette does not run along the azimuth's
+                     line
+    sun_sine  (n,)   sine of the Sun's elevation over the ground that the ray grazes
+    """
+
+    offsets: FloatArray
+    rates: FloatArray
+    ranges: FloatArray
+    usable: BoolArray
+    sun_sine: FloatArray
+
+
+class ShapeSkyline:
+    """A shape made ready for silhouettes; see `BodySkyline`.
+
+    crest_noise_m   of a single crest
+    clearance_m     ground by which a crest may miss the Sun and still be taken as lit
+    """
+
+    max_passes = MAX_PASSES
+    must_converge = True
+
+    def __init__(self, limb: LimbRelief, cell_m: float) -> None:
+        """Of cells of a size, m."""
+        self.limb, sizes = limb, horizon_sizes().shape
+        self.crest_noise_m = sizes.crest_noise * cell_m
+        self.crest_sigma_m = sizes.lift * sizes.lift_sigma * cell_m
+        self.sector_sigma_m = sizes.sector_noise * cell_m
+        self.clearance_m = SHADOW_CLEARANCE * cell_m
+
+    def fit(self, rays: LimbRays, position: FloatArray, sun: FloatArray | None) -> SkylineFit:
+        """As `BodySkyline.fit`: one Gauss-Newton step."""
+        line = self.silhouette(position, rays, sun)
+        usable, kept = usable_rays(rays, position, line.usable, line.sun_sine)
+        azimuths, ranges = kept.azimuths(position), line.ranges[usable]
+        sigmas = np.hypot(kept.own_sigmas(), self.crest_noise_m / ranges)
+        least_cut = MIN_CUT_PX * float(np.median(kept.pixel_angle))
+        fit = silhouette_step(
+            position, line.offsets[usable], line.rates[usable], sigmas, azimuths, least_cut
+        )
+        if float(np.linalg.norm(fit.state)) <= self.limb.radius_m:
+            text = "the limb leads to a position inside the body"
+            raise NoSolutionError(text, ReasonCode.INSIDE_BODY)
+        distance, misfit = float(np.median(ranges)), scatter(fit.measured.residuals / sigmas)
+        return SkylineFit(fit, kept, azimuths, line.sun_sine[usable], distance, misfit)
+
+    def stands_still(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
+        """Whether a step (3,), m, is too small for another pass."""
+        return squared_distance(step, estimate.covariance) < STILL_SIGMAS**2
+
+    def check(self, last: Followed) -> None:
+        """As `BodySkyline.check`."""
+        if not last.settled:
+            raise NoSolutionError(
+                f"the position still moves by {last.moved_m:.0f} m after {last.passes} passes over "
+                "the shape",
+                ReasonCode.NOT_SETTLED,
+            )
+        share = float(last.fit.estimate.used.mean())
+        if share < MIN_KEPT_SHARE:
+            raise NoSolutionError(
+                f"only {100.0 * share:.0f} % of the lit limb lie on the silhouette of the shape; "
+                "check attitude, time, camera and body, or the shape has parts that hide behind "
+                "each other",
+                ReasonCode.LIMB_MISFIT,
+            )
+        if last.fit.misfit > MAX_MISFIT:
+            raise NoSolutionError(
+                f"the limb is not the silhouette of the shape: it scatters by "
+                f"{last.fit.misfit:.1f} times what is expected; check attitude, time, camera and "
+                "body",
+                ReasonCode.LIMB_MISFIT,
+            )
+
+    def silhouette(
+        self, position: FloatArray, rays: LimbRays, sun_body: FloatArray | None
+    ) -> Silhouette:
+        """The silhouette from a position (3,), m, body frame, beside the rays.
+
+        sun_body (3,) towards the Sun, any length; None: all is taken as lit
+        """
+        limb = self.limb
+        distance = float(np.linalg.norm(position))
+        axes = nadir_axes(position)
+        sine = min(limb.radius_m / distance, 1.0)
+        pixel = float(np.median(rays.pixel_angle)) / sine
+        finest = max(pixel, 0.25 * limb.posting_m / limb.radius_m)
+        count = int(np.clip(np.ceil(2.0 * np.pi / finest), MIN_AZIMUTHS, MAX_AZIMUTHS))
+        step = 2.0 * np.pi / count
+        azimuths = np.arange(count) * step
+        line = limb.skyline(position, axes, azimuths)
+        curve = gaussian_filter1d(line.off_nadir, rays.blur / sine / step, mode="wrap")
+        slope = (np.roll(curve, -1) - np.roll(curve, 1)) / (2.0 * step)
+        to_crest = np.sqrt(
+            distance**2 + line.radius_m**2 - 2.0 * distance * line.radius_m * np.cos(line.range)
+        )
+        rays_at = rays.azimuths(position)
+        place = np.mod(rays_at, 2.0 * np.pi) / step
+        left = np.floor(place).astype(np.int64) % count
+        right, share = (left + 1) % count, place - np.floor(place)
+
+        def between(values: FloatArray) -> FloatArray:
+            return (1.0 - share) * values[left] + share * values[right]
+
+        off_nadir, lean, ranges = between(curve), between(slope), between(to_crest)
+        # unit vectors of the silhouette's points: up the azimuth, and along it
+        across = np.cos(rays_at)[:, None] * axes[0] + np.sin(rays_at)[:, None] * axes[1]
+        aside = np.cos(rays_at)[:, None] * axes[1] - np.sin(rays_at)[:, None] * axes[0]
+        outward = np.cos(off_nadir)[:, None] * across + np.sin(off_nadir)[:, None] * axes[2]
+        width = np.sin(off_nadir)
+        size = np.hypot(width, lean)
+        cosine = width / size
+        normals = cosine[:, None] * outward - (lean / size)[:, None] * aside
+        sine_nadir = np.linalg.norm(np.cross(rays.rays, axes[2]), axis=1)
+        nearest = np.arctan2(sine_nadir, -rays.rays @ axes[2])
+        usable, sun_sine = cosine > STEEPEST_COSINE, np.ones(len(rays))
+        if sun_body is not None:
+            sun = sun_body / np.linalg.norm(sun_body)
+            sun_sine = normals @ sun
+            around = np.cos(azimuths)[:, None] * axes[0] + np.sin(azimuths)[:, None] * axes[1]
+            out = np.cos(line.range)[:, None] * axes[2] + np.sin(line.range)[:, None] * around
+            lit = limb.sunlit((line.radius_m + self.clearance_m)[:, None] * out, sun)
+            usable = usable & lit[left] & lit[right]
+        return Silhouette(
+            (nearest - off_nadir) * cosine, normals / ranges[:, None], ranges, usable, sun_sine
+        )
+
+
+def is_shape(relief: GlobalRelief) -> bool:
+    """Whether a relief is so high that it is the body's shape rather than terrain on a sphere."""
+    return relief.span_m > SHAPE_SHARE * relief.radius_m
+
+
+def relief_fraction(body: Body) -> float:
+    """How far a limb may lie off the body's smooth one, in mean radii: half of what its highest
+    place may, for a body whose ground is a shape; that of Phobos' 2 deg model is 0.05 rms.
+    """
+    beyond = body.radius_m + body.plausible_heights_m[1] - max(body.radii_m)
+    share = beyond / body.radius_m
+    return 0.5 * share if share > SHAPE_SHARE else RELIEF
+
+
+@lru_cache(maxsize=2)
+def shape_skyline(relief: GlobalRelief) -> ShapeSkyline:
+    """The shape made ready for silhouettes, once for all frames."""
+    # of slopes as steep as these the tops say how a cell leans, not what stands up in it
+    lifted = relief.heights + np.float32(horizon_sizes().shape.lift * relief.posting_m)
+    ground = GlobalRelief(lifted, lifted, relief.radius_m, relief.source)
+    return ShapeSkyline(LimbRelief(ground, 0.0), relief.posting_m)

@@ -1,0 +1,1 @@
+"""The silhouette of an irregular body against its mesh."""

@@ -1,0 +1,384 @@
+"""A position from the silhouette of a shape of any form, also a concave one, without a prior.
+
+Ours. A coarse position is where the drawn shape has the centre and the area of the lit one. Then
+the shape is drawn again and again, each time nearer, and position and attitude follow its edges in
+the picture. The attitude is held by its own sigma, or free within that of a free one.
+
+The covariance is that of the residuals taken over sectors of the outline, for errors of the shape
+are the same along it, and of what all edges share: their own width and the scale of the shape.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import msgspec
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from catalog.bodies.body import Body
+from catalog.config import Positive, load_toml, resource
+from catalog.errors import NoSolutionError
+from catalog.terrain.mesh.rays import MeshRays
+from catalog.terrain.mesh.terrain import mesh_of_relief
+from catalog.terrain.relief.relief import GlobalRelief
+from optnav_cli.camera.camera import Camera
+from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
+from optnav_cli.frames.picture import Picture
+from optnav_cli.frames.segmentation import Levels, Segmented, without_smear
+from optnav_cli.outline.neighbour import CameraView
+from optnav_cli.outline.silhouette.edges import (
+    PIECE,
+    PIECE_STEP,
+    DrawnShape,
+    draw_shape,
+    find_edges,
+    match_light,
+)
+from optnav_cli.reasons import ReasonCode
+
+MIN_ACROSS_PX = 40.0  # of the lit shape: a smaller one is solved by its light
+MAX_NODES, COARSE_NODES = 384, 72
+COARSE_ROUNDS = 8
+ROOM = 1.35  # half a side of what is drawn, in reaches of the shape
+MIN_BLOB = 0.01  # of the largest lit area: smaller ones are stars and dust
+REACHES = (0.12, 0.12, 0.08, 0.05, 0.03, 0.02, 0.02, 0.02)  # searched beside edges, of the shape
+MIN_REACH_PX = 4.0
+SECTORS = 16
+# Gates, from wrong attitudes, Suns, mirrored pictures and other bodies (see the study `comet`).
+MIN_FOUND, MAX_SCATTER, MIN_CORRELATION, MIN_SECTORS = 0.6, 0.02, 0.9, 9
+MIN_EDGES = 60
+CUT_PX = 2
+EXACT_RAD = 1e-7  # an attitude that is known better is taken to be known so well
+MIN_SCATTER = 0.2  # px; no shape is known better
+EDGE_LENGTH_PX = 12.0  # along which an edge errs as one
+# By the light on the shape: steps of the grid that pieces are searched, how many are needed, blocks
+# a side whose pieces err together.
+LIGHT_REACHES, MIN_PIECES, MAX_LIGHT_SCATTER_PX, BLOCKS = (8, 4, 3), 25, 1.5, 5
+FILE = "configs/models/silhouette.toml"
+
+
+class SilhouetteErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the file says beside each number."""
+
+    absorbed: Positive
+    edge_px: Positive
+    edge_scale: Positive
+    ground_scale: Positive
+
+
+@lru_cache(maxsize=1)
+def _errors() -> SilhouetteErrors:
+    return load_toml(resource(FILE), SilhouetteErrors)
+
+
+class _EdgeFit(NamedTuple):
+    """What one round measured, a number a row, and the small turn and move that follow.
+
+    rows     (n, 6) of px by position, m, and rotation, rad, camera frame
+    offsets  (n,) px from the drawn place;  weights (n,);  groups (n,) that err together
+    normal   (6, 6), the attitude's own sigma in it;  change (6,)
+    scatter  px, robust, of what is left
+    """
+
+    rows: FloatArray
+    offsets: FloatArray
+    weights: FloatArray
+    groups: IntArray
+    normal: FloatArray
+    change: FloatArray
+    scatter: float
+
+
+class _Step(NamedTuple):
+    """A round of edges: what was drawn, and which of its edges were found."""
+
+    drawn: DrawnShape
+    used: BoolArray
+    fit: _EdgeFit
+
+
+@lru_cache(maxsize=2)
+def _mesh(relief: GlobalRelief) -> MeshRays:
+    return mesh_of_relief(relief)
+
+
+def navigate(
+    picture: Picture, view: CameraView, body: Body, relief: GlobalRelief, lit: Segmented
+) -> Fix:
+    """The camera's pose from the edges of the body's shape.
+
+    Raises NoSolutionError where the picture does not show the shape, or not as it should look.
+    """
+    clean = without_smear(lit.picture, lit.levels)
+    if clean is not None:
+        lit = Segmented(clean)
+    mesh, levels = _mesh(relief), lit.levels
+    mask = _lit_mask(lit)
+    # the lit shape is whole: pixels without a value lie beside it
+    values = np.nan_to_num(lit.picture, nan=levels.sky)
+    position = _by_moments(mask, mesh, view)
+    turn = view.camera_from_body
+    smooth = np.asarray(cv2.GaussianBlur(values, (0, 0), 0.7), dtype=np.float32)
+    turned = np.zeros(3)
+    across = 2.0 * mesh.reach_m / float(np.linalg.norm(position)) * view.camera.focal_length_px
+    for share in REACHES:
+        reach = max(share * across, MIN_REACH_PX)
+        last = _follow(smooth, mesh, view, turn, position, levels, reach, turned)
+        position, turn, turned = _moved(position, turn, turned, last.fit.change)
+    _check(values, last, mesh, view, turn, position, across)
+    light = None
+    for steps in LIGHT_REACHES:
+        found = _by_light(values, mesh, view, turn, position, steps, turned)
+        if found is None:
+            break
+        light = found
+        position, turn, turned = _moved(position, turn, turned, light.change)
+    return _fix(last, light or last.fit, turn, position, view)
+
+
+def _moved(
+    position: FloatArray, turn: Rotation, turned: FloatArray, change: FloatArray
+) -> tuple[FloatArray, Rotation, FloatArray]:
+    turn = Rotation.from_rotvec(change[3:]) * turn
+    return position + change[:3], turn, turned + change[3:]
+
+
+def _lit_mask(lit: Segmented) -> BoolArray:
+    """The body's lit pixels; raises NoSolutionError for a body that is small or cut."""
+    blobs = lit.blobs
+    if not len(blobs):
+        raise NoSolutionError("nothing lit stands out of the sky", ReasonCode.NO_BODY)
+    kept = blobs.label[blobs.area >= MIN_BLOB * blobs.area[0]]
+    mask: BoolArray = np.isin(blobs.labels, kept)
+    if np.sqrt(mask.sum()) < MIN_ACROSS_PX:
+        text = f"the lit shape is {np.sqrt(mask.sum()):.0f} px across; a silhouette wants more"
+        raise NoSolutionError(text, ReasonCode.SMALL_DISC)
+    inner = mask[CUT_PX:-CUT_PX, CUT_PX:-CUT_PX]
+    if inner.sum() < mask.sum() or (lit.blobs.cut is not None and lit.blobs.cut[0]):
+        text = "the frame, or pixels without a value, cut the lit shape: it is not whole"
+        raise NoSolutionError(text, ReasonCode.CUT_DISC)
+    return mask
+
+
+def _by_moments(mask: BoolArray, mesh: MeshRays, view: CameraView) -> FloatArray:
+    """A coarse position (3,): the drawn lit shape has the centre and area of the mask."""
+    camera, turn = view.camera, view.camera_from_body
+    rows, cols = np.nonzero(mask)
+    centre, area = np.array([cols.mean(), rows.mean()]), float(mask.sum())
+    towards = centre.copy()
+    distance = 0.5 * mesh.reach_m * camera.focal_length_px / np.sqrt(area / np.pi)
+    for _ in range(COARSE_ROUNDS):
+        position = _placed(camera, turn, towards, distance)
+        half = ROOM * mesh.reach_m / distance * camera.focal_length_px
+        box = float(towards[0]), float(towards[1]), half
+        drawn = draw_shape(mesh, camera, turn, position, view.sun_body, box, COARSE_NODES)
+        bright = drawn.light > 0.0
+        if not bright.any():
+            raise NoSolutionError(
+                "the shape shows no lit side under this Sun", ReasonCode.WRONG_LIGHT
+            )
+        towards = towards + centre - drawn.pixels[bright].mean(axis=0)
+        distance *= float(np.clip(np.sqrt(bright.sum() * drawn.step**2 / area), 0.5, 2.0))
+    return _placed(camera, turn, towards, distance)
+
+
+def _placed(camera: Camera, turn: Rotation, towards: FloatArray, distance: float) -> FloatArray:
+    ray = camera.unproject(towards)
+    if not np.isfinite(ray).all():
+        raise NoSolutionError("the lens has no ray for the lit shape", ReasonCode.BAD_PICTURE)
+    position: FloatArray = -distance * turn.apply(ray, inverse=True)
+    return position
+
+
+def _drawn(mesh: MeshRays, view: CameraView, turn: Rotation, position: FloatArray) -> DrawnShape:
+    """The shape at a pose, on a grid of a pixel's width where it is not too large."""
+    camera, distance = view.camera, float(np.linalg.norm(position))
+    x, y = camera.project(turn.apply(-position))
+    if not np.isfinite([x, y]).all() or distance < 1.2 * mesh.reach_m:
+        raise NoSolutionError("the silhouette leads to no pose", ReasonCode.NOT_SETTLED)
+    half = 1.05 * mesh.reach_m / distance * camera.focal_length_px + 6.0
+    nodes = int(min(MAX_NODES, np.ceil(2.0 * half)))
+    return draw_shape(mesh, camera, turn, position, view.sun_body, (x, y, half), nodes)
+
+
+def _follow(
+    picture: Float32Array,
+    mesh: MeshRays,
+    view: CameraView,
+    turn: Rotation,
+    position: FloatArray,
+    levels: Levels,
+    reach: float,
+    turned: FloatArray,
+) -> _Step:
+    """One round: edges drawn at a pose, searched in the picture, and the pose that fits them."""
+    drawn = _drawn(mesh, view, turn, position)
+    offsets = find_edges(picture, drawn, reach, levels.sky, levels.threshold)
+    used = np.isfinite(offsets)
+    if used.sum() < MIN_EDGES:
+        raise NoSolutionError(
+            f"{int(used.sum())} edge points of the shape show in the picture; {MIN_EDGES} are "
+            "needed",
+            ReasonCode.NO_LIMB,
+        )
+    seen, by_point = _derivatives(drawn.places, view, turn, position)
+    across = np.einsum("ni,nij->nj", drawn.outward, by_point)
+    rows = np.concatenate([-across @ turn.as_matrix(), np.cross(seen, across)], axis=1)
+    # inner and outer edges of one direction are two places of the shape
+    groups = 2 * _sectors(drawn) + drawn.outer
+    thinning = drawn.step / EDGE_LENGTH_PX
+    fit = _fitted(rows[used], offsets[used], groups[used], thinning, view, turned)
+    return _Step(drawn, used, fit)
+
+
+def _by_light(
+    values: Float32Array,
+    mesh: MeshRays,
+    view: CameraView,
+    turn: Rotation,
+    position: FloatArray,
+    steps: int,
+    turned: FloatArray,
+) -> _EdgeFit | None:
+    """One round by the light on the shape; None where too little of it is found."""
+    drawn = _drawn(mesh, view, turn, position)
+    places, moves = match_light(values, drawn, steps)
+    if len(places) < MIN_PIECES:
+        return None
+    seen, by_point = _derivatives(places, view, turn, position)
+    turning = np.stack([np.cross(seen, by_point[:, k]) for k in range(2)], axis=1)
+    rows = np.concatenate([-by_point @ turn.as_matrix(), turning], axis=2)
+    pixels = view.camera.project(seen)
+    span = np.ptp(drawn.pixels[..., 0]) / BLOCKS
+    block = np.floor((pixels - drawn.pixels[0, 0]) / span).astype(np.int64)
+    groups = np.repeat(block[:, 0] + BLOCKS * block[:, 1], 2)
+    thinning = (PIECE_STEP / (2.0 * PIECE)) ** 2
+    fit = _fitted(rows.reshape(-1, 6), moves.ravel(), groups, thinning, view, turned)
+    return fit if fit.scatter < MAX_LIGHT_SCATTER_PX else None
+
+
+def _derivatives(
+    places: FloatArray, view: CameraView, turn: Rotation, position: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Places (n, 3) in the camera's frame, and derivatives (n, 2, 3) of their pixels by them."""
+    seen = (places - position) @ turn.as_matrix().T
+    return seen, view.camera.project_with_jacobian(seen)[1]
+
+
+def _fitted(
+    rows: FloatArray,
+    offsets: FloatArray,
+    groups: IntArray,
+    thinning: float,
+    view: CameraView,
+    turned: FloatArray,
+) -> _EdgeFit:
+    """The change of the pose that offsets ask for; thinning: rows that count as one measurement."""
+    prior = 1.0 / max(view.attitude_sigma_rad, EXACT_RAD) ** 2
+    hold, change = np.diag([0.0, 0.0, 0.0, prior, prior, prior]), np.zeros(6)
+    scatter = max(1.4826 * float(np.median(np.abs(offsets - np.median(offsets)))), MIN_SCATTER)
+    weights, normal = np.ones(len(offsets)), hold
+    for _ in range(8):
+        rest = np.abs(offsets - rows @ change) / scatter
+        weights = np.where(rest < 4.0, 1.0, 0.0) / np.maximum(rest / 1.5, 1.0)
+        weights *= thinning / (_errors().absorbed * scatter) ** 2
+        normal = (rows * weights[:, None]).T @ rows + hold
+        wanted = (rows * weights[:, None]).T @ offsets
+        wanted[3:] -= prior * turned
+        change = _inverse(normal) @ wanted
+        left = np.abs(offsets - rows @ change)
+        scatter = max(1.4826 * float(np.median(left)), MIN_SCATTER)
+    return _EdgeFit(rows, offsets, weights, groups, normal, change, scatter)
+
+
+def _inverse(normal: FloatArray) -> FloatArray:
+    size = np.sqrt(np.diag(normal))
+    if not (size > 0.0).all():
+        raise NoSolutionError("the edges leave the pose open", ReasonCode.DEGENERATE)
+    found: FloatArray = np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size)
+    return found
+
+
+def _check(
+    values: Float32Array,
+    last: _Step,
+    mesh: MeshRays,
+    view: CameraView,
+    turn: Rotation,
+    position: FloatArray,
+    across: float,
+) -> None:
+    """Raise NoSolutionError unless the picture shows the shape as it should look."""
+    kept = last.fit.weights > 0.0
+    share = float(kept.sum() / len(last.used))
+    sectors = np.unique(_sectors(last.drawn)[last.used][kept]).size
+    drawn = _drawn(mesh, view, turn, position)
+    x, y = (np.ascontiguousarray(drawn.pixels[..., k], np.float32) for k in range(2))
+    shown = cv2.remap(values, x, y, cv2.INTER_LINEAR)
+    # roots: a few glints count no more than the ground
+    pair = [
+        np.sqrt(np.maximum(cv2.GaussianBlur(one, (0, 0), 1.0), 0.0)).ravel()
+        for one in (drawn.light, shown - float(np.median(shown[drawn.light == 0.0])))
+    ]
+    correlation = float(np.corrcoef(pair[0], pair[1])[0, 1])
+    if share < MIN_FOUND or last.fit.scatter > max(MAX_SCATTER * across, 2.0):
+        raise NoSolutionError(
+            f"the picture shows {share:.0%} of the edges of the shape, to "
+            f"{last.fit.scatter:.1f} px: attitude, time, Sun or shape is wrong",
+            ReasonCode.LIMB_MISFIT,
+        )
+    if sectors < MIN_SECTORS:
+        text = f"edges in {sectors} of {SECTORS} directions; a position wants {MIN_SECTORS}"
+        raise NoSolutionError(text, ReasonCode.SHORT_ARC)
+    if not correlation > MIN_CORRELATION:
+        raise NoSolutionError(
+            f"the shape as it should look correlates {correlation:.2f} with the picture; wanted "
+            f"{MIN_CORRELATION:g}: attitude, time, Sun or shape is wrong",
+            ReasonCode.LIMB_MISFIT,
+        )
+
+
+def _sectors(drawn: DrawnShape) -> IntArray:
+    """Which part of the outline edges belong to, by their directions."""
+    angle = np.arctan2(drawn.outward[:, 1], drawn.outward[:, 0])
+    return np.floor((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
+
+
+def _fix(last: _Step, fit: _EdgeFit, turn: Rotation, position: FloatArray, view: CameraView) -> Fix:
+    """The pose with its covariance; fit: of the last round, by edges or light."""
+    inverse = _inverse(fit.normal)
+    rest = fit.offsets - fit.rows @ fit.change
+    pulls = fit.rows * (fit.weights * rest)[:, None]
+    names, number = np.unique(fit.groups, return_inverse=True)
+    sums = np.zeros((len(names), 6))
+    np.add.at(sums, number, pulls)
+    spread = sums.T @ sums * (_errors().absorbed ** 2 * len(names) / max(len(names) - 6.0, 1.0))
+    prior = 1.0 / max(view.attitude_sigma_rad, EXACT_RAD) ** 2
+    spread[3:, 3:] += prior * np.eye(3)
+    covariance = inverse @ spread @ inverse
+    share = _errors().ground_scale
+    if fit is last.fit:
+        share = _errors().edge_scale
+        wide = inverse @ (fit.rows.T @ fit.weights) * _errors().edge_px
+        covariance = covariance + np.outer(wide, wide)
+    larger = np.concatenate([share * position, np.zeros(3)])
+    covariance = covariance + np.outer(larger, larger)
+    drawn, edges, used = last.drawn, last.fit, last.used
+    left = edges.offsets - edges.rows @ edges.change
+    kept = edges.weights > 0.0
+    points = drawn.edges[used] + edges.offsets[:, None] * drawn.outward[used]
+    aside = points - points.mean(axis=0)
+    order = np.argsort(np.arctan2(aside[:, 1], aside[:, 0]), kind="stable")
+    residuals = np.where(kept, left, np.nan)[order]
+    marks = OutlineMarks(points[order], -drawn.outward[used][order], residuals)
+    sectors = np.unique(_sectors(drawn)[used][kept]).size
+    evidence = Evidence(
+        residual_rms_px=float(np.sqrt(np.mean(left[kept] ** 2))),
+        n_limb=int(kept.sum()),
+        arc_deg=360.0 * sectors / SECTORS,
+        outline=marks,
+    )
+    sigma = float(np.sqrt(np.trace(covariance[3:, 3:]) / 3.0))
+    return Fix(Method.SILHOUETTE, position, covariance[:3, :3], turn, sigma, evidence)
