@@ -12,6 +12,7 @@ from optnav_cli.orbit.landing_settings import LANDING_KIND
 from optnav_cli.orbit.qso_settings import QSO_KIND
 from optnav_cli.orbit.settings import KIND as ORBIT
 from optnav_cli.output.run_folder import read_run
+from optnav_cli.points.plots import is_picked, picked_sheet
 from optnav_cli.report import page, sheet
 from optnav_cli.report.calibration_page import calibration_page, is_calibration
 from optnav_cli.report.catalog_page import catalog_page
@@ -21,7 +22,6 @@ from optnav_cli.report.error_plots import error_sheet
 from optnav_cli.report.hazard_page import hazard_page
 from optnav_cli.report.landing_page import landing_page, landing_sheet
 from optnav_cli.report.orbit_page import orbit_page, orbit_sheet
-from optnav_cli.report.picked_plots import is_picked, picked_sheet
 from optnav_cli.report.qso_page import qso_page, qso_sheet
 from optnav_cli.report.run_page import run_page
 from optnav_cli.report.stars_page import STARS_KIND, stars_page

@@ -44,11 +44,11 @@ from optnav_cli.navigation.answers import Answers, NavigationInputs, Outcome
 from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.descent import DescentNavigator
 from optnav_cli.navigation.history import NeedsPastError, UnseenPast
-from optnav_cli.navigation.picked_points import PickedFrames
 from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_png, patch_outlines
 from optnav_cli.output.recording import recorded_image
 from optnav_cli.output.run_folder import FRAMES
+from optnav_cli.points.method import PickedFrames
 from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.runs.inputs import open_catalogs, open_field, open_ground, whole_relief
 from optnav_cli.runs.orbit_prior import orbit_inputs, with_orbit

@@ -18,11 +18,11 @@ from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.fix import Fix, Method, Solution
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.points import POINTS_CSV
-from optnav_cli.navigation.picked_points import PickedFrames
 from optnav_cli.orbit.fit import OrbitFit
 from optnav_cli.orbit.settings import OrbitFitSettings, ParameterSettings
 from optnav_cli.orbit.unobserved import UNOBSERVED
 from optnav_cli.output.run_folder import CAMERAS, RunFolder
+from optnav_cli.points.method import PickedFrames
 
 
 def without_lens_error(run: RunFolder) -> list[Solution]:

@@ -18,7 +18,7 @@ from optnav_cli.measurements.cylinder_fit import fit_cylinder
 from optnav_cli.measurements.cylinder_profile import measure_profile
 from optnav_cli.measurements.stars.identify import StarIdentifier
 from optnav_cli.measurements.stars.spots import find_spots
-from optnav_cli.navigation.picked_points import PickedFrames
+from optnav_cli.points.method import PickedFrames
 from optnav_cli.runs.cylinder_folder import ideal_lens
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings

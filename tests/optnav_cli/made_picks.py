@@ -10,9 +10,9 @@ from catalog.bodies.body import Body, load_body
 from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml
-from optnav_cli.estimation.models.picked_points import LensPrior, PickedSightings
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.estimation.picked_resection import PickedResection
+from optnav_cli.points.model import LensPrior, PickedSightings
+from optnav_cli.points.resection import PickedResection
 
 CAMERA = Camera("tele", "pinhole", 5616, 3744, 62_400.0, (2807.5, 1871.5))
 WIDE = Camera("wide", "pinhole", 2000, 2000, 2500.0, (999.5, 999.5))

@@ -10,12 +10,12 @@ from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.progress import Progress
-from optnav_cli.estimation.picked_constructions import CircleGround, Picks, by_circles, by_tori
 from optnav_cli.fix import Fix, Solution
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.points import PickedPoint
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
-from optnav_cli.navigation.picked_points import PickedFrames
+from optnav_cli.points.constructions import CircleGround, Picks, by_circles, by_tori
+from optnav_cli.points.method import PickedFrames
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from tests.studies.picked_lens import picked_lens_figures

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from catalog.errors import NoSolutionError
-from optnav_cli.estimation.picked_constructions import (
+from optnav_cli.points.constructions import (
     Picks,
     by_circles,
     by_tori,

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from optnav_cli.estimation.least_squares import Estimate
-from optnav_cli.estimation.models.picked_points import LensPose, LensPrior, PickedSightings
 from optnav_cli.estimation.models.points import Pose, ProjectingCamera
+from optnav_cli.points.model import LensPose, LensPrior, PickedSightings
 
 SIDE = 17  # places of the grid along either axis
 REACH_SIGMAS = 4.0  # of the first grid, beyond the best pose and beyond its mirror image

@@ -21,7 +21,9 @@ from scipy.special import gammaincinv
 from catalog.arrays import BoolArray, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.least_squares import Estimate, Iteration, solve
-from optnav_cli.estimation.models.picked_points import (
+from optnav_cli.estimation.models.points import Pose, ProjectingCamera, predict
+from optnav_cli.fix import LensEstimate
+from optnav_cli.points.model import (
     AttitudePrior,
     LensErrors,
     LensPoints,
@@ -32,9 +34,7 @@ from optnav_cli.estimation.models.picked_points import (
     estimated_lens,
     moved_with_lens,
 )
-from optnav_cli.estimation.models.points import Pose, ProjectingCamera, predict
-from optnav_cli.estimation.picked_posterior import PickedLikelihood
-from optnav_cli.fix import LensEstimate
+from optnav_cli.points.posterior import PickedLikelihood
 from optnav_cli.reasons import Reason, ReasonCode
 
 # A point is left out, and a whole fit refused, when chance makes as much so rarely.

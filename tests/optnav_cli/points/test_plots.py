@@ -5,8 +5,8 @@ from pathlib import Path
 from catalog.progress import SilentProgress
 from optnav_cli.main import run
 from optnav_cli.output.run_folder import read_run
+from optnav_cli.points.plots import is_picked, picked_sheet
 from optnav_cli.report import write_report
-from optnav_cli.report.picked_plots import is_picked, picked_sheet
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 

@@ -17,19 +17,7 @@ from catalog.geometry.ellipsoid import geodetic_from_xyz, normal_at
 from catalog.geometry.latlon import latlon_from_xyz, wrap_longitude_deg
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.settings import Construction
-from optnav_cli.estimation.models.picked_points import AttitudePrior, LensPrior, PickedSightings
 from optnav_cli.estimation.models.points import Pose, predict
-from optnav_cli.estimation.picked_constructions import (
-    Picks,
-    by_circles,
-    by_tori,
-    covariance_of,
-    pose_at,
-)
-from optnav_cli.estimation.picked_resection import (
-    PickedPose,
-    PickedResection,
-)
 from optnav_cli.fix import (
     Evidence,
     Fix,
@@ -43,7 +31,19 @@ from optnav_cli.fix import (
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.points import PickedPoint, places_of
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
-from optnav_cli.navigation.picked_horizon import is_hidden
+from optnav_cli.points.constructions import (
+    Picks,
+    by_circles,
+    by_tori,
+    covariance_of,
+    pose_at,
+)
+from optnav_cli.points.horizon import is_hidden
+from optnav_cli.points.model import AttitudePrior, LensPrior, PickedSightings
+from optnav_cli.points.resection import (
+    PickedPose,
+    PickedResection,
+)
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, longer
 
 PRIOR_SIGMAS = 5.0  # within which a prior decides between poses

@@ -1,0 +1,1 @@
+"""Picked points: position from places that a person marked in a picture."""
