@@ -49,7 +49,7 @@ def command(
     Example:
       optnav stars pictures -o attitudes
     """
-    from optnav_cli.runs.stars_folder import star_lines, stars_folder
+    from optnav_cli.stars.job import star_lines, stars_folder
 
     if epoch is not None and catalogue is None:
         raise click.UsageError("--epoch is that of --catalogue, which is not given")

@@ -24,7 +24,7 @@ from optnav_cli.report.landing_page import landing_page, landing_sheet
 from optnav_cli.report.orbit_page import orbit_page, orbit_sheet
 from optnav_cli.report.qso_page import qso_page, qso_sheet
 from optnav_cli.report.run_page import run_page
-from optnav_cli.report.stars_page import STARS_KIND, stars_page
+from optnav_cli.stars.page import STARS_KIND, stars_page
 
 # Pages and pictures of output folders, by the kind that their manifest states.
 PAGES = {

@@ -39,7 +39,6 @@ from optnav_cli.frames.observation import FROM_FILE
 from optnav_cli.frames.picture import LaterPicture, Picture, PictureSizeError, frame_picture
 from optnav_cli.frames.points import POINTS_CSV, PickedPoint
 from optnav_cli.frames.run_settings import RUN_TOML, InertialSettings
-from optnav_cli.measurements.stars.sky import SkyView, StarSight, star_sight
 from optnav_cli.navigation.answers import Answers, NavigationInputs, Outcome
 from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.descent import DescentNavigator
@@ -52,6 +51,7 @@ from optnav_cli.points.method import PickedFrames
 from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.runs.inputs import open_catalogs, open_field, open_ground, whole_relief
 from optnav_cli.runs.orbit_prior import orbit_inputs, with_orbit
+from optnav_cli.stars.sky import SkyView, StarSight, star_sight
 
 STARS = "stars"  # the question of a frame's answers
 REMARKS = "remarks on the picture"  # likewise; kept where there are some

@@ -18,9 +18,9 @@ from optnav_cli.fix import Method, Solution
 from optnav_cli.frames.folder import Folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.observation import FROM_FILE
-from optnav_cli.measurements.stars.zenith_pair import SightPlace, navigation_stars, zenith_pair
 from optnav_cli.orbit.folder import stated_turn
 from optnav_cli.orbit.zenith import zenith_distances, zenith_row
+from optnav_cli.stars.zenith_pair import SightPlace, navigation_stars, zenith_pair
 
 LIMB = (Method.HORIZON, Method.HORIZON_SPHERE)
 STARS = "stars"

@@ -16,13 +16,13 @@ from optnav_cli.frames.folder import read_folder
 from optnav_cli.measurements.cylinder import CylinderSize
 from optnav_cli.measurements.cylinder_fit import fit_cylinder
 from optnav_cli.measurements.cylinder_profile import measure_profile
-from optnav_cli.measurements.stars.identify import StarIdentifier
-from optnav_cli.measurements.stars.spots import find_spots
 from optnav_cli.points.method import PickedFrames
 from optnav_cli.runs.cylinder_folder import ideal_lens
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
+from optnav_cli.stars.identify import StarIdentifier
+from optnav_cli.stars.spots import find_spots
 from tests.bench.timing import in_turn, one_core, result, sized, spread, within
 from tests.optnav_cli.made_picks import rows_of, scene, write_picked
 from tests.optnav_cli.made_skies import drawn_sky, spots_of

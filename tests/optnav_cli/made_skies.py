@@ -10,7 +10,7 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.stars import aberrated, bright_stars
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml
-from optnav_cli.measurements.stars.spots import StarSpots
+from optnav_cli.stars.spots import StarSpots
 
 UTC = "2024-06-01T10:00:00Z"
 CAMERA = Camera("sky", "pinhole", 512, 512, 1300.0, (255.5, 255.5))  # 22 degrees

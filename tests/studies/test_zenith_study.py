@@ -5,7 +5,7 @@ import pytest
 
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import SilentProgress
-from optnav_cli.measurements.stars.zenith_pair import SightPlace, navigation_stars, zenith_pair
+from optnav_cli.stars.zenith_pair import SightPlace, navigation_stars, zenith_pair
 from tests.studies import zenith
 from tests.studies.zenith_flights import (
     SightErrors,

@@ -16,10 +16,10 @@ from catalog.geometry.rotations import ARCSEC
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.picture import load_picture
-from optnav_cli.measurements.stars.identify import StarIdentifier
-from optnav_cli.measurements.stars.sky import SkyView, star_sight
-from optnav_cli.measurements.stars.spots import StarSpots, find_spots
 from optnav_cli.reasons import ReasonCode, longer
+from optnav_cli.stars.identify import StarIdentifier
+from optnav_cli.stars.sky import SkyView, star_sight
+from optnav_cli.stars.spots import StarSpots, find_spots
 from tests.optnav_cli.made_skies import (
     CAMERA,
     UTC,

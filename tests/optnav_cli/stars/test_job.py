@@ -14,7 +14,7 @@ from optnav_cli.reasons import ReasonCode
 from optnav_cli.report import write_report
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.runs.stars_folder import stars_folder
+from optnav_cli.stars.job import stars_folder
 from tests.optnav_cli.made_skies import CAMERA, UTC, drawn_sky, sky_folder, turned
 
 ORION = turned(84.0, -1.0, 20.0)

@@ -4,9 +4,9 @@ import numpy as np
 
 from catalog.arrays import ByteArray, Float32Array
 from catalog.bodies.stars import BrightStars, bright_stars
-from optnav_cli.measurements.stars.identify import StarFix
-from optnav_cli.measurements.stars.spots import StarSpots
 from optnav_cli.output.canvas import Canvas, dimmed, eight_bits, resized, shrink_factor, text_width
+from optnav_cli.stars.identify import StarFix
+from optnav_cli.stars.spots import StarSpots
 
 FOUND, SPOT, LEFT_OUT, RESIDUAL = (90, 240, 110), (255, 190, 60), (80, 90, 255), (60, 220, 255)
 MAX_PX, ENLARGED = 1200, 100.0

@@ -22,8 +22,8 @@ from catalog.bodies.stars import BrightStars, bright_stars
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import cross_matrix
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.stars.spots import StarSpots
 from optnav_cli.reasons import ReasonCode, longer
+from optnav_cli.stars.spots import StarSpots
 
 MAX_PAIR_DEG = 25.0
 WANTED_IN_VIEW = 30.0  # stars of the catalog in a frame, as far as it goes so faint

@@ -11,8 +11,8 @@ from catalog.bodies.ephemeris import velocity_inertial
 from catalog.bodies.stars import LIGHT_M_S, BrightStars, aberrated, bright_stars
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.stars.identify import StarIdentifier
-from optnav_cli.measurements.stars.spots import find_spots
+from optnav_cli.stars.identify import StarIdentifier
+from optnav_cli.stars.spots import find_spots
 
 EARTH_SPEED_M_S = 29_785.0  # mean, about the Sun
 

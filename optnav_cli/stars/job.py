@@ -23,15 +23,15 @@ from optnav_cli.frames.frames import MAX_DISTANCE_M
 from optnav_cli.frames.picture import frame_picture
 from optnav_cli.frames.run_settings import RUN_TOML, read_run_settings
 from optnav_cli.frames.tables import ATTITUDES, POSITION, QUATERNION, STAR_FRAMES
-from optnav_cli.measurements.stars.identify import StarFix, StarIdentifier
-from optnav_cli.measurements.stars.sky import SkyView
-from optnav_cli.measurements.stars.spots import StarSpots, find_spots
 from optnav_cli.output.canvas import encoded
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.run_folder import CAMERAS, FRAMES, OVERLAYS
-from optnav_cli.output.star_overlay import draw_stars
-from optnav_cli.report.stars_page import ATTITUDES_CSV, STARS_KIND
+from optnav_cli.stars.identify import StarFix, StarIdentifier
+from optnav_cli.stars.overlay import draw_stars
+from optnav_cli.stars.page import ATTITUDES_CSV, STARS_KIND
+from optnav_cli.stars.sky import SkyView
+from optnav_cli.stars.spots import StarSpots, find_spots
 
 STAGE = "stars"
 DEFAULT_BODY = "earth"  # where a craft flies whose folder has no run.toml

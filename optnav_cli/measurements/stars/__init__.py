@@ -1,1 +1,0 @@
-"""Stars in a picture: spots, which stars they are, and the attitude that follows."""

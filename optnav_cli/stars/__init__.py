@@ -1,0 +1,1 @@
+"""Stars: spots, identification, attitude and zenith distances."""
