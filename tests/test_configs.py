@@ -95,8 +95,8 @@ def load_model(path: Path) -> object:
     from catalog.terrain.error_model import TerrainLaws
     from optnav_cli.control_points.acceptance import AcceptanceLimits
     from optnav_cli.control_points.error_model import PointErrorSizes
+    from optnav_cli.cylinder.geometry import CylinderErrorSizes
     from optnav_cli.hazard.model import HazardModel
-    from optnav_cli.measurements.cylinder import CylinderErrorSizes
     from optnav_cli.navigation.descent_state import DescentErrorSizes
     from optnav_cli.orbit.motion import OrbitNoiseSizes
     from optnav_cli.orbit.shared_errors import SharedErrorSizes

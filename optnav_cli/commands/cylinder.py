@@ -37,7 +37,7 @@ def command(progress: ConsoleProgress, folder: Path, formula: str, output: Path)
       optnav cylinder pictures --formula seed -o printed
       optnav report run -o run.html
     """
-    from optnav_cli.runs.cylinder_folder import cylinder_folder, cylinder_lines
+    from optnav_cli.cylinder.job import cylinder_folder, cylinder_lines
 
     announce_compilation()
     chosen = cast(Literal["fit", "seed"], formula)

@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.stars import bright_stars
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
+from optnav_cli.cylinder.fit import fit_cylinder
+from optnav_cli.cylinder.geometry import CylinderSize
+from optnav_cli.cylinder.job import ideal_lens
+from optnav_cli.cylinder.profile import measure_profile
 from optnav_cli.frames.folder import read_folder
-from optnav_cli.measurements.cylinder import CylinderSize
-from optnav_cli.measurements.cylinder_fit import fit_cylinder
-from optnav_cli.measurements.cylinder_profile import measure_profile
 from optnav_cli.points.method import PickedFrames
-from optnav_cli.runs.cylinder_folder import ideal_lens
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose

@@ -13,15 +13,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from scipy.optimize import minimize
-from tests.studies.cylinder_coding import coded_rows
 
 from catalog.arrays import FloatArray
 from catalog.config import resource
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress, SilentProgress
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.frames.tables import CYLINDER_TRUTH
-from optnav_cli.measurements.cylinder import (
+from optnav_cli.cylinder.fit import fit_cylinder
+from optnav_cli.cylinder.geometry import (
     CylinderErrorSizes,
     CylinderSize,
     cylinder_sizes,
@@ -29,20 +28,21 @@ from optnav_cli.measurements.cylinder import (
     lit_edges,
     seed_distance_and_angle,
 )
-from optnav_cli.measurements.cylinder_fit import fit_cylinder
-from optnav_cli.measurements.cylinder_profile import measure_profile
-from optnav_cli.runs.cylinder_folder import (
+from optnav_cli.cylinder.job import (
     CylinderRow,
     cylinder_folder,
     ideal_lens,
     with_velocities,
 )
+from optnav_cli.cylinder.profile import measure_profile
+from optnav_cli.frames.tables import CYLINDER_TRUTH
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.cylinder_scenario import CylinderScenario
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
+from tests.studies.cylinder_coding import coded_rows
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 CAMERA = "lab_20deg"

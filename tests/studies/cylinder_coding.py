@@ -16,10 +16,10 @@ from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.measurements.cylinder import CylinderSize
-from optnav_cli.measurements.cylinder_fit import CylinderFit, IdealLens, fit_cylinder
-from optnav_cli.measurements.cylinder_gamma import fit_coded_cylinder
-from optnav_cli.measurements.cylinder_profile import measure_profile
+from optnav_cli.cylinder.fit import CylinderFit, IdealLens, fit_cylinder
+from optnav_cli.cylinder.gamma import fit_coded_cylinder
+from optnav_cli.cylinder.geometry import CylinderSize
+from optnav_cli.cylinder.profile import measure_profile
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose

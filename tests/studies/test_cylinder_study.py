@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from catalog.progress import SilentProgress
-from optnav_cli.measurements.cylinder import CylinderErrorSizes, cylinder_sizes, grazing_of
+from optnav_cli.cylinder.geometry import CylinderErrorSizes, cylinder_sizes, grazing_of
 from tests.studies import cylinder, cylinder_coding
 
 FIGURES = Path(cylinder.__file__).parent / "figures" / "cylinder.json"

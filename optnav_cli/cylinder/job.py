@@ -17,31 +17,31 @@ from catalog.files import replacing_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.cylinder_folder import (
+from optnav_cli.cylinder.fit import CylinderFit, IdealLens, fit_cylinder
+from optnav_cli.cylinder.folder import (
     CylinderFolder,
     CylinderRunSettings,
     read_cylinder_folder,
 )
-from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.picture import frame_picture
-from optnav_cli.frames.tables import CYLINDER
-from optnav_cli.measurements.cylinder import (
+from optnav_cli.cylinder.gamma import fit_coded_cylinder
+from optnav_cli.cylinder.geometry import (
     CRESCENT_DEG,
     CylinderSize,
     half_width,
     lit_edges,
     seed_distance_and_angle,
 )
-from optnav_cli.measurements.cylinder_fit import CylinderFit, IdealLens, fit_cylinder
-from optnav_cli.measurements.cylinder_gamma import fit_coded_cylinder
-from optnav_cli.measurements.cylinder_profile import CylinderProfile, measure_profile, seed_extent
-from optnav_cli.measurements.cylinder_series import series_places, series_velocity
-from optnav_cli.output.cylinder_overlay import cylinder_overlay
+from optnav_cli.cylinder.overlay import cylinder_overlay
+from optnav_cli.cylinder.page import CYLINDER_CSV, CYLINDER_KIND, cylinder_sheet
+from optnav_cli.cylinder.profile import CylinderProfile, measure_profile, seed_extent
+from optnav_cli.cylinder.velocity import series_places, series_velocity
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picture import frame_picture
+from optnav_cli.frames.tables import CYLINDER
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.wording import table_lines
 from optnav_cli.reasons import ReasonCode
-from optnav_cli.report.cylinder_plots import CYLINDER_CSV, CYLINDER_KIND, cylinder_sheet
 
 STAGE = "cylinder"
 Formula = Literal["fit", "seed"]

@@ -8,7 +8,8 @@ import pytest
 
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.cylinder import (
+from optnav_cli.cylinder.fit import HeightModel, IdealLens, ProfileModel, fit_cylinder
+from optnav_cli.cylinder.geometry import (
     CylinderSize,
     bearing_of,
     half_width,
@@ -17,8 +18,7 @@ from optnav_cli.measurements.cylinder import (
     seed_distance_and_angle,
     surface_distance,
 )
-from optnav_cli.measurements.cylinder_fit import HeightModel, IdealLens, ProfileModel, fit_cylinder
-from optnav_cli.measurements.cylinder_profile import measure_profile, seed_extent
+from optnav_cli.cylinder.profile import measure_profile, seed_extent
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose

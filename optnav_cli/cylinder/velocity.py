@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from catalog.arrays import FloatArray
-from optnav_cli.estimation.least_squares import inverse_of
-from optnav_cli.measurements.cylinder import CRESCENT_DEG, cylinder_sizes
-from optnav_cli.measurements.cylinder_fit import (
+from optnav_cli.cylinder.fit import (
     DISTANCE,
     EXPECTED,
     LIGHT,
@@ -27,6 +25,8 @@ from optnav_cli.measurements.cylinder_fit import (
     WIDTHS,
     CylinderFit,
 )
+from optnav_cli.cylinder.geometry import CRESCENT_DEG, cylinder_sizes
+from optnav_cli.estimation.least_squares import inverse_of
 
 PLACE = np.array([DISTANCE, THETA])
 # by its share of the light: what departs from Lambert's law; the blur may change with the focus

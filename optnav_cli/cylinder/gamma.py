@@ -13,15 +13,15 @@ from scipy.special import ndtr, ndtri
 from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.coding import Coding
-from optnav_cli.measurements.cylinder import CylinderSize
-from optnav_cli.measurements.cylinder_fit import (
+from optnav_cli.cylinder.fit import (
     DISTANCE,
     THETA,
     CylinderFit,
     IdealLens,
     fit_cylinder,
 )
-from optnav_cli.measurements.cylinder_profile import CylinderProfile, measure_profile
+from optnav_cli.cylinder.geometry import CylinderSize
+from optnav_cli.cylinder.profile import CylinderProfile, measure_profile
 
 # Prior of gamma, 1 sigma: 1 of linear counts and 2.4 of screens lie inside.
 GAMMA, GAMMA_SIGMA = 1.6, 0.7

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.arrays import FloatArray
-from optnav_cli.measurements.cylinder import CylinderSize, bearing_of, half_width, surface_distance
-from optnav_cli.measurements.cylinder_fit import CylinderFit, IdealLens
+from optnav_cli.cylinder.fit import CylinderFit, IdealLens
+from optnav_cli.cylinder.geometry import CylinderSize, bearing_of, half_width, surface_distance
 from optnav_cli.output.canvas import Canvas, dimmed, eight_bits, encoded, resized, shrink_factor
 
 OUTLINE, TERMINATOR, LIMB = (255, 190, 60), (90, 240, 110), (60, 220, 255)

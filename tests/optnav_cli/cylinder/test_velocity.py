@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from optnav_cli.measurements.cylinder_fit import UNKNOWNS, CylinderFit
-from optnav_cli.measurements.cylinder_series import (
+from optnav_cli.cylinder.fit import UNKNOWNS, CylinderFit
+from optnav_cli.cylinder.velocity import (
     CLOTH,
     CLOTH_SIGMAS,
     series_places,

@@ -13,15 +13,15 @@ import pytest
 from catalog.config import resource
 from catalog.errors import ConfigError, NothingToDoError
 from catalog.progress import SilentProgress
+from optnav_cli.cylinder.job import cylinder_folder
+from optnav_cli.cylinder.page import cylinder_sheet
 from optnav_cli.frames.tables import CYLINDER, CYLINDER_TRUTH
 from optnav_cli.main import run
 from optnav_cli.report import write_report
-from optnav_cli.report.cylinder_plots import cylinder_sheet
-from optnav_cli.runs.cylinder_folder import cylinder_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.cylinder_scenario import CylinderScenario
 from optnav_cli.simulation.scenario import load_scenario
-from tests.optnav_cli.measurements.test_cylinder import seen
+from tests.optnav_cli.cylinder.test_geometry import seen
 
 
 @pytest.fixture(scope="module")

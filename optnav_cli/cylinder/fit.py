@@ -16,6 +16,15 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
+from optnav_cli.cylinder.brightness import LOBES, drawn_columns
+from optnav_cli.cylinder.geometry import (
+    CylinderSize,
+    cylinder_sizes,
+    half_width,
+    psi_of,
+    surface_distance,
+)
+from optnav_cli.cylinder.profile import CylinderProfile
 from optnav_cli.estimation.least_squares import (
     Estimate,
     Linearisation,
@@ -24,15 +33,6 @@ from optnav_cli.estimation.least_squares import (
     inverse_of,
     linearised,
 )
-from optnav_cli.measurements.cylinder import (
-    CylinderSize,
-    cylinder_sizes,
-    half_width,
-    psi_of,
-    surface_distance,
-)
-from optnav_cli.measurements.cylinder_brightness import LOBES, drawn_columns
-from optnav_cli.measurements.cylinder_profile import CylinderProfile
 from optnav_cli.reasons import Reason, ReasonCode
 
 # Unknowns: distance m, bearing, theta, logarithms of the blur, px, and of half the width of the

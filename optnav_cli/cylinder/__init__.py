@@ -1,0 +1,1 @@
+"""A lit cylinder: distance and angle of the light."""
