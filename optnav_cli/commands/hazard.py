@@ -53,8 +53,8 @@ def slopes(
       optnav slopes bundled:tycho_gld100_256ppd.tif --base-m 240
       optnav slopes site.tif -o slopes.tif
     """
+    from optnav_cli.hazard.slopes import measure_slopes
     from optnav_cli.output.wording import json_text
-    from optnav_cli.runs.slope_files import measure_slopes
 
     announce_compilation()
     found = measure_slopes(dem, base_m, body, output, nodata)
@@ -123,7 +123,7 @@ def hazard(
       optnav hazard site.png --camera tsnn2_narrow.toml --height-m 500 --sun-elevation-deg 5
         --sun-azimuth-deg 120 -o hazard
     """
-    from optnav_cli.runs.hazard_folder import map_pictures
+    from optnav_cli.hazard.job import map_pictures
 
     announce_compilation()
     tell(map_pictures(pictures, output, config, camera, given, progress))

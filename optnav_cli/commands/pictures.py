@@ -266,7 +266,7 @@ def _evaluate_orbit(folder: Path, truth: Path, as_json: bool, given: dict[str, A
 def _evaluate_pads(folder: Path, truth: Path, as_json: bool, limit: float | None) -> None:
     from dataclasses import asdict
 
-    from optnav_cli.evaluation.hazard_pads import evaluate_pads, write_pad_evaluation
+    from optnav_cli.hazard.evaluate import evaluate_pads, write_pad_evaluation
     from optnav_cli.output.wording import json_text
 
     figures, pads = evaluate_pads(folder, truth)

@@ -7,6 +7,7 @@ from catalog.files import check_file, made_by_optnav, replacing_file, starts_wit
 from catalog.progress import logged_stage
 from catalog.store.reader import Catalog
 from optnav_cli.cylinder.page import CYLINDER_KIND, cylinder_page, cylinder_sheet
+from optnav_cli.hazard.page import hazard_page
 from optnav_cli.hazard.settings import KIND as HAZARD
 from optnav_cli.orbit.delivery_settings import DELIVERY_KIND
 from optnav_cli.orbit.landing_settings import LANDING_KIND
@@ -19,7 +20,6 @@ from optnav_cli.report.calibration_page import calibration_page, is_calibration
 from optnav_cli.report.catalog_page import catalog_page
 from optnav_cli.report.delivery_page import delivery_page, delivery_sheet
 from optnav_cli.report.error_plots import error_sheet
-from optnav_cli.report.hazard_page import hazard_page
 from optnav_cli.report.landing_page import landing_page, landing_sheet
 from optnav_cli.report.orbit_page import orbit_page, orbit_sheet
 from optnav_cli.report.qso_page import qso_page, qso_sheet

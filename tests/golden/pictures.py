@@ -20,6 +20,7 @@ from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
+from optnav_cli.hazard.drawing import draw_overview
 from optnav_cli.hazard.ground_view import look_down
 from optnav_cli.hazard.hazard_map import map_hazard
 from optnav_cli.hazard.settings import HazardSettings
@@ -27,7 +28,6 @@ from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import RESIDUALS_ENLARGED, draw_overlay, patch_outlines
 from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.report.body_sides import sides_picture
-from optnav_cli.runs.hazard_drawing import draw_overview
 from tests.golden import sketch
 from tests.studies import hazard as study
 from tests.studies.hazard_fields import make_field, perspective_picture

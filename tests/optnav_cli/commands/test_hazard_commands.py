@@ -17,9 +17,9 @@ from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.frames.tables import PADS
+from optnav_cli.hazard.job import _catalog_heights
 from optnav_cli.hazard.pads import REFUSED
 from optnav_cli.main import run
-from optnav_cli.runs.hazard_folder import _catalog_heights
 from tests.catalog.made_catalogs import make_world
 from tests.optnav_cli.hazard.views import bumps, drawn
 

@@ -20,13 +20,13 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.tables import PADS
+from optnav_cli.hazard.drawing import draw_overview, draw_risk
 from optnav_cli.hazard.hazard_map import HazardMap
 from optnav_cli.hazard.pads import REFUSED, Pad
 from optnav_cli.hazard.settings import PADS_FILE, HazardSettings
 from optnav_cli.output import foxglove
 from optnav_cli.output.canvas import eight_bits, encoded
 from optnav_cli.output.recording import MessageLog, recorded_image, topic_of
-from optnav_cli.runs.hazard_drawing import draw_overview, draw_risk
 
 NO_TIME = "1970-01-01T00:00:00Z"  # of a single picture: it has none
 PAD_PX = 24.0  # the least diameter of a mark in the recording

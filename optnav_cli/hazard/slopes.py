@@ -16,9 +16,9 @@ from catalog.rasters import DESCRIPTION, encode_geotiff, is_described
 from catalog.terrain.dem.georeference import Georeference
 from catalog.terrain.dem.source import DemSource
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, SlopeSummary, summarize
+from optnav_cli.hazard.drawing import MAX_SLOPE_DEG, OUTSIDE_COLOUR, TEXT_COLOUR, coloured
 from optnav_cli.output.canvas import Canvas, encoded
 from optnav_cli.output.wording import table_lines
-from optnav_cli.runs.hazard_drawing import MAX_SLOPE_DEG, OUTSIDE_COLOUR, TEXT_COLOUR, coloured
 
 MADE = "Slopes by optnav"
 PNG = b"\x89PNG\r\n\x1a\n"

@@ -30,9 +30,9 @@ from optnav_cli.frames.picture import Picture, frame_picture, load_picture
 from optnav_cli.hazard.fusion import PriorSlopes, read_slopes
 from optnav_cli.hazard.ground_view import Heights, KnownPose, look_down, look_from
 from optnav_cli.hazard.hazard_map import HazardMap, check_settings, map_hazard
+from optnav_cli.hazard.output import HazardOutput, MappedFrame
 from optnav_cli.hazard.settings import KIND, OPTIONS, HazardSettings, load_settings
 from optnav_cli.output.manifest import write_manifest
-from optnav_cli.runs.hazard_output import HazardOutput, MappedFrame
 
 log = logging.getLogger(__name__)
 
