@@ -20,9 +20,9 @@ from catalog.bodies.body import BodyFile, SunOrbit, read_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import ConfigError, DataError
 from catalog.pipeline.config import BuildConfig, load_build_config
+from optnav_cli.archives.frame import ImportTable, load_table
 from optnav_cli.camera.camera_file import CameraFileSettings, camera_toml, load_camera
 from optnav_cli.control_points.settings import NavigateSettings, load_settings
-from optnav_cli.frames.archive_frame import ImportTable, load_table
 from optnav_cli.hazard.settings import HazardSettings
 from optnav_cli.hazard.settings import load_settings as hazard_settings
 from optnav_cli.simulation.approach import Approach

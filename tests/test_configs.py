@@ -38,7 +38,7 @@ def load_scenario(path: Path) -> object:
 
 
 def load_import(path: Path) -> object:
-    from optnav_cli.frames.archive_frame import load_table
+    from optnav_cli.archives.frame import load_table
 
     return load_table(path)
 

@@ -18,9 +18,9 @@ READERS: tuple[str, ...] = (
     "catalog.bodies.star_catalog",
     "catalog.terrain.dem.label_keywords",
     "optnav_cli.frames.fits_picture",
-    "optnav_cli.frames.isis_keywords",
-    "optnav_cli.frames.label_keywords",
-    "optnav_cli.frames.label_pixels",
+    "optnav_cli.archives.isis_keywords",
+    "optnav_cli.archives.label_keywords",
+    "optnav_cli.archives.label_pixels",
     "optnav_cli.frames.picture_tags",
     "optnav_cli.orbit.oem_reader",
 )

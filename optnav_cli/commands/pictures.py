@@ -318,7 +318,7 @@ def import_pictures(files: tuple[Path, ...], output: Path, **given: Any) -> None
       optnav import AS15-M-0297.cub --picture AS15-M-0297.png -o apollo
       optnav import times.csv --table my.toml --kernel craft.bsp --kernel craft.bc -o pictures
     """
-    from optnav_cli.runs.import_folder import ImportOptions, import_folder
+    from optnav_cli.archives.job import ImportOptions, import_folder
 
     tell(import_folder(files, output, ImportOptions(**given)).remarks)
     click.echo(output)

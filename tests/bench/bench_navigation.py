@@ -15,6 +15,7 @@ from catalog.config import resource
 from catalog.pipeline import build
 from catalog.progress import SilentProgress
 from catalog.store.reader import Catalog
+from optnav_cli.archives.job import ImportOptions, import_folder
 from optnav_cli.control_points.expectation import FrameContext, expected
 from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.picture_pyramid import PicturePyramid
@@ -33,7 +34,6 @@ from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_png
 from optnav_cli.output.recording import Recording, recorded_image
 from optnav_cli.runs.frame_worker import MATCHERS, FrameWorker, RunInputs
-from optnav_cli.runs.import_folder import ImportOptions, import_folder
 from optnav_cli.runs.inputs import open_field
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder

@@ -29,6 +29,7 @@ from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.terrain.dem.file import SHARED_FOLDER
+from optnav_cli.archives.job import ImportOptions, import_folder
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, preset_camera
 from optnav_cli.control_points.field import ControlPointField
@@ -39,7 +40,6 @@ from optnav_cli.frames.truth import read_truth
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet, write_sheet
 from optnav_cli.report.svg import Plot, PlotAxis
-from optnav_cli.runs.import_folder import ImportOptions, import_folder
 from optnav_cli.runs.inputs import open_catalogs, open_field
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sections import MainCamera

@@ -13,10 +13,10 @@ from catalog.geometry.rotations import rnb_axes
 from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
-from optnav_cli.frames.isis_cube import read_cube_pose
+from optnav_cli.archives.isis_cube import read_cube_pose
+from optnav_cli.archives.job import ImportOptions, import_folder
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.import_folder import ImportOptions, import_folder
 from optnav_cli.runs.navigate_folder import navigate_folder
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 

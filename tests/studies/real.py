@@ -21,6 +21,7 @@ from catalog.geometry.vectors import squared_distance
 from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
+from optnav_cli.archives.job import ImportOptions, import_folder
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
@@ -28,7 +29,6 @@ from optnav_cli.output.run_folder import CAMERAS, RunFolder, read_run
 from optnav_cli.runs.adjust_runs import LabelScatter, adjust_runs
 from optnav_cli.runs.adjusted_folder import AdjustedRuns
 from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.import_folder import ImportOptions, import_folder
 from optnav_cli.runs.navigate_folder import navigate_folder
 from tests.studies import apollo, flights
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns

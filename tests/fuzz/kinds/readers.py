@@ -10,12 +10,12 @@ from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.kernels import KernelSet
 from catalog.errors import OptnavError
 from catalog.terrain.dem.source import DemSource
+from optnav_cli.archives.frame import FrameMaker, load_table
+from optnav_cli.archives.isis_cube import read_cube_pose
+from optnav_cli.archives.source import read_sources
 from optnav_cli.camera.camera_file import load_camera
-from optnav_cli.frames.archive_frame import FrameMaker, load_table
-from optnav_cli.frames.isis_cube import read_cube_pose
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.orbit.oem_reader import read_oem
-from optnav_cli.runs.import_source import read_sources
 from tests.fuzz.cases import DATA, OK, Case, Place, kind
 from tests.fuzz.kinds import kernels, labels, map_words, orbits, pictures
 

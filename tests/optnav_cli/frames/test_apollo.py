@@ -11,11 +11,11 @@ import rasterio
 from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import Stereographic, node_grid
+from optnav_cli.archives.job import ImportOptions, import_folder
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import load_picture
-from optnav_cli.runs.import_folder import ImportOptions, import_folder
 
 CAMERA = "apollo15_metric"
 RADIUS = 1737400.0

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from catalog.errors import DataError
+from optnav_cli.archives.label import read_label
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.archive_label import read_label
 from optnav_cli.frames.fits_picture import KEYWORDS, find_unit, read_fits
 from optnav_cli.frames.picture import load_picture
 

@@ -14,13 +14,13 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import DataError
+from optnav_cli.archives.job import ImportOptions, import_folder
+from optnav_cli.archives.label import read_label
+from optnav_cli.archives.label_geometry import AttitudeKeys, read_attitude
 from optnav_cli.camera.camera_file import load_camera
-from optnav_cli.frames.archive_label import read_label
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.label_geometry import AttitudeKeys, read_attitude
 from optnav_cli.frames.picture import load_picture
-from optnav_cli.runs.import_folder import ImportOptions, import_folder
 
 MDIS = """PDS_VERSION_ID               = PDS3
 RECORD_TYPE                  = FIXED_LENGTH

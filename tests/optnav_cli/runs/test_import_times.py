@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
-from optnav_cli.runs.import_folder import ImportOptions, import_folder
+from optnav_cli.archives.job import ImportOptions, import_folder
 from tests.catalog.bodies.made_kernels import (
     TIMES_S,
     attitude_segment,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, read_input
-from optnav_cli.frames.archive_label import ArchiveLabel
+from optnav_cli.archives.label import ArchiveLabel
 
 MAX_BYTES = 256 * MEGABYTE
 MAX_SIDE = 65_536

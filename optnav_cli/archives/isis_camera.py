@@ -16,9 +16,15 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.keywords import check_keywords
+from optnav_cli.archives.isis_keywords import (
+    KEYWORDS,
+    Label,
+    Stated,
+    plain_value,
+    reported_keywords,
+)
+from optnav_cli.archives.isis_lens import with_lens
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.isis_keywords import KEYWORDS, Label, Stated, plain_value, reported_keywords
-from optnav_cli.frames.isis_lens import with_lens
 
 MM_BY_M = 1e3
 MAX_HALF_ANGLE = np.radians(

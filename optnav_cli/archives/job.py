@@ -12,21 +12,21 @@ from catalog.config import nearest_name, resource
 from catalog.errors import ConfigError, DataError, UsageError
 from catalog.files import replacing_folder
 from catalog.places import check_apart
+from optnav_cli.archives.frame import NINE_IDENTITY, FrameMaker, ImportTable, load_table
+from optnav_cli.archives.geometry_check import check_import
+from optnav_cli.archives.isis_camera import CubeCamera, crop_camera, read_cube_camera
+from optnav_cli.archives.isis_cube import CubePose, read_cube_pose
+from optnav_cli.archives.label import ArchiveLabel, read_label
+from optnav_cli.archives.label_geometry import VectorKeys, unstated_keys
+from optnav_cli.archives.pixels import COPIED, is_flipped, put_picture, read_picture_shape
+from optnav_cli.archives.source import ImportSource, check_row_time, read_sources
+from optnav_cli.archives.target import body_of_target
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
-from optnav_cli.frames.archive_frame import NINE_IDENTITY, FrameMaker, ImportTable, load_table
-from optnav_cli.frames.archive_label import ArchiveLabel, read_label
-from optnav_cli.frames.archive_target import body_of_target
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.geometry_check import check_import
-from optnav_cli.frames.isis_camera import CubeCamera, crop_camera, read_cube_camera
-from optnav_cli.frames.isis_cube import CubePose, read_cube_pose
-from optnav_cli.frames.label_geometry import VectorKeys, unstated_keys
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.output.manifest import hash_files, write_manifest
-from optnav_cli.runs.import_pixels import COPIED, is_flipped, put_picture, read_picture_shape
-from optnav_cli.runs.import_source import ImportSource, check_row_time, read_sources
 
 KIND = "pictures"
 TABLES = "configs/imports"

@@ -5,7 +5,7 @@ Numbers are read by the keywords that an import table names. Those that say what
 """
 
 from catalog.keywords import Keyword, check_keywords
-from optnav_cli.frames.archive_label import ArchiveLabel
+from optnav_cli.archives.label import ArchiveLabel
 
 _BY_TABLE = Keyword("used", "a table reads it, in its unit")
 _UTC = Keyword("refused", "convert the times to UTC", ("", "UTC", "UTC(NTP)", "UTC(GPS)"))

@@ -15,20 +15,20 @@ from catalog.errors import DataError
 from catalog.keywords import check_keywords
 from catalog.rasters import PICTURES, open_raster, reading_raster
 from catalog.special_values import SpecialValues
-from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.archive_frame import ImportTable
-from optnav_cli.frames.fits_picture import find_unit, fits_shape, is_fits, read_fits
-from optnav_cli.frames.full_scale import find_full_scale
-from optnav_cli.frames.label_pixels import (
+from optnav_cli.archives.frame import ImportTable
+from optnav_cli.archives.label_pixels import (
     KEYWORDS,
     is_bottom_first,
     stated_keywords,
     stated_specials,
 )
-from optnav_cli.frames.pds3_picture import read_pds3_pixels
+from optnav_cli.archives.pds3_picture import read_pds3_pixels
+from optnav_cli.archives.source import ImportSource
+from optnav_cli.camera.camera import Camera
+from optnav_cli.frames.fits_picture import find_unit, fits_shape, is_fits, read_fits
+from optnav_cli.frames.full_scale import find_full_scale
 from optnav_cli.frames.raster_pixels import FULL_SCALE, mask_beside, read_raster, without_special
 from optnav_cli.frames.stored_pixels import StoredPixels
-from optnav_cli.runs.import_source import ImportSource
 
 VIEWED = (".png", ".jpg", ".jpeg")  # made to be looked at, their first line uppermost
 COPIED = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm")

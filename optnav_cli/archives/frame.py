@@ -25,10 +25,9 @@ from catalog.bodies.kernels import KernelSet
 from catalog.config import load_toml
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.vectors import unit
-from optnav_cli.frames.archive_label import ArchiveLabel, LabelFormat
-from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.isis_cube import CubePose, middle_utc
-from optnav_cli.frames.label_geometry import (
+from optnav_cli.archives.isis_cube import CubePose, middle_utc
+from optnav_cli.archives.label import ArchiveLabel, LabelFormat
+from optnav_cli.archives.label_geometry import (
     AttitudeKeys,
     TimeKeys,
     VectorKeys,
@@ -39,8 +38,9 @@ from optnav_cli.frames.label_geometry import (
     read_time,
     read_vector,
 )
-from optnav_cli.frames.label_keywords import check_label
-from optnav_cli.frames.source_sigmas import LABEL, SourceSigmas, cube_sigmas, kernel_sigmas
+from optnav_cli.archives.label_keywords import check_label
+from optnav_cli.archives.source_sigmas import LABEL, SourceSigmas, cube_sigmas, kernel_sigmas
+from optnav_cli.frames.frames import Frame
 
 # The Sun and the rotation by a label and by the body file: further apart, one of both is of another
 # body, time or frame. Poles of one asteroid by two reports differ by 0.8 deg.

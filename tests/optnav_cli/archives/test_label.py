@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from catalog.errors import DataError
-from optnav_cli.frames.archive_label import format_of, read_label
+from optnav_cli.archives.label import format_of, read_label
 from optnav_cli.frames.fits_picture import find_unit, read_fits
 
 PDS3 = """PDS_VERSION_ID = PDS3 /* a comment = "no value" */

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
+from optnav_cli.archives.geometry_check import StatedGeometry, find_contradictions
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.geometry_check import StatedGeometry, find_contradictions
 
 MOON = load_body("moon")
 CAMERA = Camera("made", "pinhole", 256, 256, 500.0, (127.5, 127.5))

@@ -8,8 +8,8 @@ import pytest
 from catalog.bodies.body import load_body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
-from optnav_cli.frames.archive_label import ArchiveLabel, read_label
-from optnav_cli.frames.label_geometry import (
+from optnav_cli.archives.label import ArchiveLabel, read_label
+from optnav_cli.archives.label_geometry import (
     AttitudeKeys,
     TimeKeys,
     VectorKeys,

@@ -11,8 +11,8 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
+from optnav_cli.archives.isis_keywords import Stated, plain_value
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.isis_keywords import Stated, plain_value
 
 MAX_DISTORTION = 0.2  # of the distance of the corners from the axis
 MAX_FIT_PX = 0.05  # error of a fitted lens that nobody needs to know

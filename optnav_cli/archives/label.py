@@ -17,13 +17,13 @@ from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, check_input
 from catalog.keywords import MAX_SHOWN
 from catalog.special_values import read_number
+from optnav_cli.archives.label_units import EXAMPLES, Quantity, find_unit, unit_of_comment
+from optnav_cli.archives.odl import OdlError, Statement, read_statements
+from optnav_cli.archives.pds4_label import find_elements, read_elements
+from optnav_cli.archives.vicar_label import BEGINNING as VICAR_BEGINNING
+from optnav_cli.archives.vicar_label import read_pairs
 from optnav_cli.frames.fits_cards import CARD, read_cards
 from optnav_cli.frames.fits_picture import fits_headers
-from optnav_cli.frames.label_units import EXAMPLES, Quantity, find_unit, unit_of_comment
-from optnav_cli.frames.odl import OdlError, Statement, read_statements
-from optnav_cli.frames.pds4_label import find_elements, read_elements
-from optnav_cli.frames.vicar_label import BEGINNING as VICAR_BEGINNING
-from optnav_cli.frames.vicar_label import read_pairs
 
 LabelFormat = Literal["fits", "pds3", "pds4", "vicar", "settings"]
 Values = dict[str, tuple[str, ...]]

@@ -13,7 +13,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import tdb_s_after, utc_from_tdb_s
 from catalog.errors import ConfigError, DataError
-from optnav_cli.frames.archive_label import ArchiveLabel
+from optnav_cli.archives.label import ArchiveLabel
 
 Scale = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
 Keys = tuple[str, ...]

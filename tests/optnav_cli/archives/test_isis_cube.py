@@ -12,7 +12,7 @@ from catalog.bodies.ephemeris import sun_direction_inertial
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz
-from optnav_cli.frames.isis_cube import read_cube_label, read_cube_pose
+from optnav_cli.archives.isis_cube import read_cube_label, read_cube_pose
 
 CUBE = "apollo15/AS15-M-0297_crop.cub"
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optnav_cli.frames.label_units import find_unit, unit_of_comment
+from optnav_cli.archives.label_units import find_unit, unit_of_comment
 
 
 @pytest.mark.parametrize(

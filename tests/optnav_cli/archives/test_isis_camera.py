@@ -9,11 +9,11 @@ import pytest
 
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
+from optnav_cli.archives.isis_keywords import KEYWORDS
+from optnav_cli.archives.job import ImportOptions, import_folder
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.isis_keywords import KEYWORDS
-from optnav_cli.runs.import_folder import ImportOptions, import_folder
 from tests.optnav_cli.frames.made_cubes import (
     CAMERA_BODY_KM,
     CODE,

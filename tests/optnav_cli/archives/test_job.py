@@ -17,14 +17,14 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import resource
 from catalog.errors import ConfigError, DataError, OutputError, UsageError
 from catalog.geometry.rotations import ARCSEC
+from optnav_cli.archives.frame import load_table
+from optnav_cli.archives.job import ImportOptions, import_folder
+from optnav_cli.archives.label_pixels import CODING_KEYWORDS, KEYWORDS
 from optnav_cli.camera.camera_file import load_camera, preset_camera
-from optnav_cli.frames.archive_frame import load_table
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.label_pixels import CODING_KEYWORDS, KEYWORDS
 from optnav_cli.frames.picture import Picture, load_picture
 from optnav_cli.main import run
-from optnav_cli.runs.import_folder import ImportOptions, import_folder
 
 UTC = "2004-05-01T12:00:00.000Z"
 CAMERA = """name = "made"

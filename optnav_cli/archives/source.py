@@ -6,8 +6,8 @@ from pathlib import Path
 
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
-from optnav_cli.frames.archive_label import ArchiveLabel, format_of, read_label
-from optnav_cli.frames.isis_cube import Label, read_cube_label
+from optnav_cli.archives.isis_cube import Label, read_cube_label
+from optnav_cli.archives.label import ArchiveLabel, format_of, read_label
 from optnav_cli.frames.tables import TIMES
 
 

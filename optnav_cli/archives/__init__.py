@@ -1,0 +1,1 @@
+"""Pictures of archives: labels, cubes and kernels made into picture folders."""
