@@ -35,7 +35,7 @@ from optnav_cli.report import write_report
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.inputs import open_catalogs, open_field, whole_relief
 from optnav_cli.runs.navigate_folder import navigate_folder as navigate_pictures
-from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.simulation.job import simulate_folder
 
 __all__ = [
     "Camera",

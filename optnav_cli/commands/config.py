@@ -145,7 +145,7 @@ def template(kind: str, output: Path | None) -> None:
     if output is None:
         click.echo(resource(f"configs/templates/{kind}.toml").read_text(encoding="utf-8"), nl=False)
         return
-    from optnav_cli.runs.simulate_folder import write_template_folder
+    from optnav_cli.simulation.job import write_template_folder
 
     write_template_folder(output, kind)
     click.echo(output)

@@ -65,7 +65,7 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     from optnav_cli.report import write_report
     from optnav_cli.runs.frame_worker import RunInputs
     from optnav_cli.runs.navigate_folder import navigate_folder
-    from optnav_cli.runs.simulate_folder import simulate_folder
+    from optnav_cli.simulation.job import simulate_folder
 
     config = resource("configs/catalogs/tycho.toml")
     scenario = resource("configs/scenarios/demo.toml")
@@ -135,7 +135,7 @@ def _simulate_ahead(scenario: Path, place: Path) -> None:
     from msgspec.structs import replace
 
     from catalog.progress import SilentProgress
-    from optnav_cli.runs.simulate_folder import simulate_folder
+    from optnav_cli.simulation.job import simulate_folder
     from optnav_cli.simulation.passes import Scenario
     from optnav_cli.simulation.scenario import load_scenario
     from optnav_cli.simulation.sections import MainCamera

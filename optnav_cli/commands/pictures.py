@@ -54,7 +54,7 @@ def simulate(
       optnav simulate bundled:demo -o pictures
     """
     from catalog.config import named_config
-    from optnav_cli.runs.simulate_folder import simulate_folder
+    from optnav_cli.simulation.job import simulate_folder
 
     announce_compilation()
     named = named_config(scenario, "scenarios")

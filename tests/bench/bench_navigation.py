@@ -36,7 +36,7 @@ from optnav_cli.output.recording import Recording, recorded_image
 from optnav_cli.runs.frame_worker import MATCHERS, FrameWorker, RunInputs
 from optnav_cli.runs.inputs import open_field
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.simulation.job import simulate_folder
 from tests.bench.timing import FULL, Spread, best, one_core, result, sized, spread, within
 from tests.studies.apollo import CUBE, PICTURE
 

@@ -13,7 +13,7 @@ from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.simulation.job import simulate_folder
 from tests.catalog.pipeline.coarse_tycho import BBOX, CONFIG
 
 CAMERA = """

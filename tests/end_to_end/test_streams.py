@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from optnav_cli.runs.simulate_folder import write_template_folder
+from optnav_cli.simulation.job import write_template_folder
 from tests.catalog.made_catalogs import make_world
 from tests.optnav_cli.made_runs import write_run
 

@@ -18,7 +18,7 @@ from optnav_cli.console import ConsoleProgress
 from optnav_cli.main import cli
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.simulation.job import simulate_folder
 from tests.golden import (
     documents,
     flights,

@@ -25,7 +25,7 @@ from optnav_cli.frames.truth import read_truth
 from optnav_cli.runs.calibrate_folder import Calibration, calibrate_folder
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.passes import Scenario
 from optnav_cli.simulation.scenario import load_scenario
 from tests.studies.calibration_routes import KINDS, OFF

@@ -29,8 +29,8 @@ from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation import descent_model
+from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
 from optnav_cli.simulation.scenario_base import ScenarioBase
 from tests.studies.tables import Cell, StudyTable, columns

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from catalog.progress import SilentProgress
-from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.scenario_base import ScenarioBase
 
 

@@ -19,7 +19,7 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.mounts import MountSettings, check_mounts
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.frames.tables import HEIGHTS
-from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.stereo.job import stereo_folder
 from tests.optnav_cli.stereo.pairs import CAMERA, picture, rig

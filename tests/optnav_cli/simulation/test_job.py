@@ -13,7 +13,7 @@ from catalog.config import resource
 from catalog.errors import DataError, OutputError
 from catalog.progress import SilentProgress
 from optnav_cli.output.manifest import read_manifest
-from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.run import Simulation
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.scenario_base import ScenarioBase
