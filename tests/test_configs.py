@@ -62,7 +62,7 @@ def load_calibrate(path: Path) -> object:
 
 
 def load_qso(path: Path) -> object:
-    from optnav_cli.orbit.qso_settings import load_qso_settings
+    from optnav_cli.orbit.qso.settings import load_qso_settings
 
     return load_qso_settings(path)
 
@@ -212,7 +212,7 @@ def config_type(kind: str) -> type[msgspec.Struct]:
 
         return HazardSettings
     if kind == "qso":
-        from optnav_cli.orbit.qso_settings import QsoSettings
+        from optnav_cli.orbit.qso.settings import QsoSettings
 
         return QsoSettings
     if kind == "orbit":

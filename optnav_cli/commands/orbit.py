@@ -206,7 +206,7 @@ def qso(progress: ConsoleProgress, settings: Path, output: Path) -> None:
       optnav orbit qso bundled:qso_55km -o qso
       optnav report qso -o qso.html
     """
-    from optnav_cli.runs.qso_folder import qso_folder, qso_lines
+    from optnav_cli.orbit.qso.job import qso_folder, qso_lines
 
     announce_compilation()
     rows, mean_motion = qso_folder(settings, output, progress)

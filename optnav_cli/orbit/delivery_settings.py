@@ -8,7 +8,7 @@ import msgspec
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import load_toml, named_config
 from catalog.errors import ConfigError, DataError
-from optnav_cli.orbit.qso_settings import FOLDER
+from optnav_cli.orbit.qso.settings import FOLDER
 
 DELIVERY_KIND = "delivery"
 STAGES_CSV, BOXES_CSV, ARRIVALS_CSV = "stages.csv", "boxes.csv", "arrivals.csv"

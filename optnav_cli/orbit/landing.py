@@ -14,7 +14,7 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import normal_at
 from catalog.geometry.latlon import xyz_from_latlon
 from optnav_cli.orbit.landing_rays import DigitalSurface
-from optnav_cli.orbit.qso_motion import MoonMotion, split
+from optnav_cli.orbit.qso.motion import MoonMotion, split
 from optnav_cli.reasons import ReasonCode
 
 STEPS, STEP_S = 4, 60.0

@@ -11,7 +11,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import eccentric_anomaly, mean_anomaly
 from catalog.geometry.kernel import kernel
-from optnav_cli.orbit.qso_motion import MoonMotion
+from optnav_cli.orbit.qso.motion import MoonMotion
 
 MAX_STEP = 0.01  # rad of true anomaly, 44 s: the fourth-order step leaves 1e-6 m in 30 min
 

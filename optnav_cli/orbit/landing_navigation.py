@@ -19,7 +19,7 @@ from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
 from optnav_cli.orbit.landing_rays import DigitalSurface, GroundHits
-from optnav_cli.orbit.qso_motion import MoonMotion, split
+from optnav_cli.orbit.qso.motion import MoonMotion, split
 from optnav_cli.reasons import ReasonCode
 
 QUICK_STEPS, MAX_STEPS = 5, 12  # the source has 5; more where no start settles in these

@@ -9,7 +9,7 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import load_toml, named_config
 from catalog.errors import ConfigError, DataError
 from catalog.terrain.mesh.file import MeshSettings
-from optnav_cli.orbit.qso_settings import BUNDLED_MESH, FOLDER, MoonForces
+from optnav_cli.orbit.qso.settings import BUNDLED_MESH, FOLDER, MoonForces
 
 LANDING_KIND = "landing"
 LANDING_CSV, PATH_CSV, IMPULSE_CSV = "landing.csv", "path.csv", "impulse.csv"

@@ -27,9 +27,9 @@ from optnav_cli.orbit.landing_navigation import (
 )
 from optnav_cli.orbit.landing_rays import DigitalSurface
 from optnav_cli.orbit.landing_settings import LandingSettings
-from optnav_cli.orbit.qso import QsoSearch, QsoStart
-from optnav_cli.orbit.qso_motion import MoonMotion, split
-from optnav_cli.orbit.qso_settings import motion_of_moon
+from optnav_cli.orbit.qso.motion import MoonMotion, split
+from optnav_cli.orbit.qso.search import QsoSearch, QsoStart
+from optnav_cli.orbit.qso.settings import motion_of_moon
 
 STEP_S = 60.0
 QSO_DAYS = 1.0

@@ -11,7 +11,8 @@ from optnav_cli.hazard.page import hazard_page
 from optnav_cli.hazard.settings import KIND as HAZARD
 from optnav_cli.orbit.delivery_settings import DELIVERY_KIND
 from optnav_cli.orbit.landing_settings import LANDING_KIND
-from optnav_cli.orbit.qso_settings import QSO_KIND
+from optnav_cli.orbit.qso.page import qso_page, qso_sheet
+from optnav_cli.orbit.qso.settings import QSO_KIND
 from optnav_cli.orbit.settings import KIND as ORBIT
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.points.plots import is_picked, picked_sheet
@@ -22,7 +23,6 @@ from optnav_cli.report.delivery_page import delivery_page, delivery_sheet
 from optnav_cli.report.error_plots import error_sheet
 from optnav_cli.report.landing_page import landing_page, landing_sheet
 from optnav_cli.report.orbit_page import orbit_page, orbit_sheet
-from optnav_cli.report.qso_page import qso_page, qso_sheet
 from optnav_cli.report.run_page import run_page
 from optnav_cli.stars.page import STARS_KIND, stars_page
 

@@ -31,7 +31,7 @@ from optnav_cli.orbit.delivery_settings import (
     STAGES_CSV,
     load_delivery_settings,
 )
-from optnav_cli.orbit.qso_settings import FOLDER, moon_of
+from optnav_cli.orbit.qso.settings import FOLDER, moon_of
 from optnav_cli.output.manifest import write_manifest
 from optnav_cli.output.wording import table_lines
 

@@ -34,7 +34,7 @@ from optnav_cli.orbit.landing_trials import (
     wrong_ground,
 )
 from optnav_cli.orbit.oem import Oem, write_oem
-from optnav_cli.orbit.qso_settings import FOLDER, moon_of
+from optnav_cli.orbit.qso.settings import FOLDER, moon_of
 from optnav_cli.output.manifest import write_manifest
 from optnav_cli.output.wording import table_lines
 

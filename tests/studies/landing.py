@@ -30,8 +30,8 @@ from optnav_cli.orbit.landing_trials import (
     surface_error,
     wrong_ground,
 )
-from optnav_cli.orbit.qso import QsoSearch, QsoStart
-from optnav_cli.orbit.qso_motion import split
+from optnav_cli.orbit.qso.motion import split
+from optnav_cli.orbit.qso.search import QsoSearch, QsoStart
 from optnav_cli.runs.landing_folder import LandingResult, fly_trials
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 

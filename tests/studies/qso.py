@@ -14,9 +14,9 @@ from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
-from optnav_cli.orbit.qso import QsoOrbit, QsoSearch, QsoStart, Velocity
-from optnav_cli.orbit.qso_motion import MoonMotion
-from optnav_cli.orbit.qso_settings import (
+from optnav_cli.orbit.qso.motion import MoonMotion
+from optnav_cli.orbit.qso.search import QsoOrbit, QsoSearch, QsoStart, Velocity
+from optnav_cli.orbit.qso.settings import (
     MoonForces,
     QsoSettings,
     distances_of,
@@ -24,7 +24,7 @@ from optnav_cli.orbit.qso_settings import (
     motion_of_moon,
     start_times,
 )
-from optnav_cli.orbit.qso_theory import axes_of, phase_rate
+from optnav_cli.orbit.qso.theory import axes_of, phase_rate
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 
 # Of the source, for greatest distances: width of the ring, km, and angular rates less 1.

@@ -2,7 +2,7 @@
 
 from optnav_cli.orbit.delivery_settings import DeliverySettings
 from optnav_cli.orbit.landing_settings import LandingSettings
-from optnav_cli.orbit.qso_settings import QsoSettings
+from optnav_cli.orbit.qso.settings import QsoSettings
 from tests.fuzz.cases import DATA, NOTHING, Case, Place, kind
 from tests.fuzz.kinds.configs import ConfigKind
 

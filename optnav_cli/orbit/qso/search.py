@@ -17,8 +17,8 @@ from catalog.bodies.epochs import DAY_S
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import surface_at
-from optnav_cli.orbit import qso_theory as theory
-from optnav_cli.orbit.qso_motion import FlightTable, MoonMotion, fly
+from optnav_cli.orbit.qso import theory
+from optnav_cli.orbit.qso.motion import FlightTable, MoonMotion, fly
 from optnav_cli.reasons import ReasonCode
 
 Velocity = Literal["free", "perpendicular"]

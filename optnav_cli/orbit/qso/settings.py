@@ -16,8 +16,8 @@ from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.shape import load_shape
 from optnav_cli.dynamics.gravity_field import HarmonicField
 from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
-from optnav_cli.orbit.qso_field import mesh_field
-from optnav_cli.orbit.qso_motion import MoonMotion
+from optnav_cli.orbit.qso.field import mesh_field
+from optnav_cli.orbit.qso.motion import MoonMotion
 
 QSO_KIND = "qso"  # of the output folder
 QSO_CSV, PASSES_CSV, PATHS_CSV = "qso.csv", "passes.csv", "paths.csv"

@@ -6,9 +6,9 @@ import pytest
 from catalog.bodies.body import load_body
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
-from optnav_cli.orbit.qso import QsoOrbit, QsoSearch, QsoStart, Velocity
-from optnav_cli.orbit.qso_motion import MoonMotion
-from optnav_cli.orbit.qso_settings import QsoSection, start_times
+from optnav_cli.orbit.qso.motion import MoonMotion
+from optnav_cli.orbit.qso.search import QsoOrbit, QsoSearch, QsoStart, Velocity
+from optnav_cli.orbit.qso.settings import QsoSection, start_times
 
 MOTION = MoonMotion(load_body("phobos"))
 SECTION = QsoSection(time="2026-01-01T00:00:00Z", distance_km=50.0, anomaly_deg=(0.0, 90.0))

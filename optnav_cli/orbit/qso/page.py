@@ -11,7 +11,7 @@ from catalog.bodies.body import Body, load_body
 from catalog.errors import ConfigError, DataError
 from catalog.tables import CsvRow
 from optnav_cli.frames.orbit_tables import QSO, QSO_PASSES, QSO_PATHS
-from optnav_cli.orbit.qso_settings import PASSES_CSV, PATHS_CSV, QSO_CSV
+from optnav_cli.orbit.qso.settings import PASSES_CSV, PATHS_CSV, QSO_CSV
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.wording import json_text
 from optnav_cli.report import page as html

@@ -19,9 +19,9 @@ from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.frames.orbit_tables import BODY_STATE, INERTIAL, QSO, QSO_PASSES, QSO_PATHS
 from optnav_cli.orbit.oem import Oem, write_oem
-from optnav_cli.orbit.qso import QsoOrbit, QsoSearch, QsoStart
-from optnav_cli.orbit.qso_motion import MoonMotion
-from optnav_cli.orbit.qso_settings import (
+from optnav_cli.orbit.qso.motion import MoonMotion
+from optnav_cli.orbit.qso.search import QsoOrbit, QsoSearch, QsoStart
+from optnav_cli.orbit.qso.settings import (
     FOLDER,
     PASSES_CSV,
     PATHS_CSV,

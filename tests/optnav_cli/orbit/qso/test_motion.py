@@ -15,9 +15,9 @@ from catalog.terrain.mesh.shape import load_shape
 from optnav_cli.dynamics import gravity_kernel as harmonics
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.dynamics.gravity_field import oblate_field
-from optnav_cli.orbit.qso_field import mesh_field
-from optnav_cli.orbit.qso_motion import MoonMotion, split
-from optnav_cli.orbit.qso_settings import BUNDLED_MESH
+from optnav_cli.orbit.qso.field import mesh_field
+from optnav_cli.orbit.qso.motion import MoonMotion, split
+from optnav_cli.orbit.qso.settings import BUNDLED_MESH
 
 PHOBOS = load_body("phobos")
 BEGIN = utc_to_tdb_s("2026-01-01T00:00:00Z")
@@ -156,7 +156,7 @@ def test_a_body_without_a_planet_is_refused() -> None:
 
 
 def test_a_mesh_of_another_place_is_named(tmp_path: Path) -> None:
-    from optnav_cli.orbit.qso_settings import MoonForces, motion_of_moon
+    from optnav_cli.orbit.qso.settings import MoonForces, motion_of_moon
 
     mesh = type(BUNDLED_MESH)(path="none.obj", units="km")
     with pytest.raises(Exception, match=r"none\.obj"):
