@@ -74,7 +74,7 @@ def load_orbit_fit(path: Path) -> object:
 
 
 def load_landing(path: Path) -> object:
-    from optnav_cli.orbit.landing_settings import load_landing_settings
+    from optnav_cli.orbit.landing.settings import load_landing_settings
 
     return load_landing_settings(path)
 
@@ -224,7 +224,7 @@ def config_type(kind: str) -> type[msgspec.Struct]:
 
         return DeliverySettings
     if kind == "landing":
-        from optnav_cli.orbit.landing_settings import LandingSettings
+        from optnav_cli.orbit.landing.settings import LandingSettings
 
         return LandingSettings
     from optnav_cli.simulation.passes import Scenario

@@ -234,7 +234,7 @@ def landing(progress: ConsoleProgress, settings: Path, output: Path) -> None:
       optnav orbit landing bundled:landing_phobos -o landing
       optnav report landing -o landing.html
     """
-    from optnav_cli.runs.landing_folder import landing_folder, landing_lines
+    from optnav_cli.orbit.landing.job import landing_folder, landing_lines
 
     announce_compilation()
     tell(landing_lines(landing_folder(settings, output, progress)))

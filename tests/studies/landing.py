@@ -12,16 +12,17 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import normal_at, surface_at
 from catalog.geometry.vectors import perpendicular_basis
 from catalog.progress import Progress, SilentProgress
-from optnav_cli.orbit.landing import Site, depart
-from optnav_cli.orbit.landing_model import OnboardMotion, turning_state
-from optnav_cli.orbit.landing_navigation import MAX_STEPS, RangeNavigator
-from optnav_cli.orbit.landing_rays import DigitalSurface
-from optnav_cli.orbit.landing_settings import (
+from optnav_cli.orbit.landing.departure import Site, depart
+from optnav_cli.orbit.landing.job import LandingResult, fly_trials
+from optnav_cli.orbit.landing.model import OnboardMotion, turning_state
+from optnav_cli.orbit.landing.navigation import MAX_STEPS, RangeNavigator
+from optnav_cli.orbit.landing.rays import DigitalSurface
+from optnav_cli.orbit.landing.settings import (
     LandingSettings,
     SurfaceSettings,
     load_landing_settings,
 )
-from optnav_cli.orbit.landing_trials import (
+from optnav_cli.orbit.landing.trials import (
     STEP_S,
     LandingTask,
     landing_task,
@@ -32,7 +33,6 @@ from optnav_cli.orbit.landing_trials import (
 )
 from optnav_cli.orbit.qso.motion import split
 from optnav_cli.orbit.qso.search import QsoSearch, QsoStart
-from optnav_cli.runs.landing_folder import LandingResult, fly_trials
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 RAYS = 3000

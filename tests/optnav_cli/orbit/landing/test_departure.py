@@ -11,16 +11,16 @@ from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import normal_at, surface_at
 from catalog.terrain.synthetic import fractal
-from optnav_cli.orbit.landing import check_clear, depart
-from optnav_cli.orbit.landing_model import OnboardMotion, turning_state
-from optnav_cli.orbit.landing_navigation import (
+from optnav_cli.orbit.landing.departure import check_clear, depart
+from optnav_cli.orbit.landing.model import OnboardMotion, turning_state
+from optnav_cli.orbit.landing.navigation import (
     BeamRanges,
     RangeNavigator,
     SurfaceError,
     beams_about,
 )
-from optnav_cli.orbit.landing_settings import LandingSettings, load_landing_settings
-from optnav_cli.orbit.landing_trials import (
+from optnav_cli.orbit.landing.settings import LandingSettings, load_landing_settings
+from optnav_cli.orbit.landing.trials import (
     LandingTask,
     burnt,
     error_octaves,

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
-from optnav_cli.orbit.landing import Site
-from optnav_cli.orbit.landing_navigation import beams_about
-from optnav_cli.orbit.landing_rays import DigitalSurface, GroundHits
-from optnav_cli.orbit.landing_settings import LandingSettings
+from optnav_cli.orbit.landing.departure import Site
+from optnav_cli.orbit.landing.navigation import beams_about
+from optnav_cli.orbit.landing.rays import DigitalSurface, GroundHits
+from optnav_cli.orbit.landing.settings import LandingSettings
 
 STEP_S = 1.0
 CONTROL_S = 20  # steps between burns of the descent; in the braking each step has one

@@ -10,7 +10,7 @@ from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.tables import CsvRow
 from optnav_cli.frames.orbit_tables import LANDING, LANDING_IMPULSE, LANDING_PATH
-from optnav_cli.orbit.landing_settings import IMPULSE_CSV, LANDING_CSV, PATH_CSV
+from optnav_cli.orbit.landing.settings import IMPULSE_CSV, LANDING_CSV, PATH_CSV
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.wording import json_text
 from optnav_cli.report import page as html

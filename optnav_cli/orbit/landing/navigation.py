@@ -18,7 +18,7 @@ import numpy as np
 from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
-from optnav_cli.orbit.landing_rays import DigitalSurface, GroundHits
+from optnav_cli.orbit.landing.rays import DigitalSurface, GroundHits
 from optnav_cli.orbit.qso.motion import MoonMotion, split
 from optnav_cli.reasons import ReasonCode
 

@@ -15,9 +15,9 @@ from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.mesh.refine import refined
 from catalog.terrain.mesh.shape import Shape, load_shape
 from catalog.terrain.synthetic import fractal
-from optnav_cli.orbit.landing import Departure, Site, check_clear, depart
-from optnav_cli.orbit.landing_descent import Touchdown, VerticalDescent
-from optnav_cli.orbit.landing_navigation import (
+from optnav_cli.orbit.landing.departure import Departure, Site, check_clear, depart
+from optnav_cli.orbit.landing.descent import Touchdown, VerticalDescent
+from optnav_cli.orbit.landing.navigation import (
     BeamRanges,
     GroundEstimate,
     RangeFix,
@@ -25,8 +25,8 @@ from optnav_cli.orbit.landing_navigation import (
     SurfaceError,
     beams_about,
 )
-from optnav_cli.orbit.landing_rays import DigitalSurface
-from optnav_cli.orbit.landing_settings import LandingSettings
+from optnav_cli.orbit.landing.rays import DigitalSurface
+from optnav_cli.orbit.landing.settings import LandingSettings
 from optnav_cli.orbit.qso.motion import MoonMotion, split
 from optnav_cli.orbit.qso.search import QsoSearch, QsoStart
 from optnav_cli.orbit.qso.settings import motion_of_moon

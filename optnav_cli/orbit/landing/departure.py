@@ -13,7 +13,7 @@ from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import normal_at
 from catalog.geometry.latlon import xyz_from_latlon
-from optnav_cli.orbit.landing_rays import DigitalSurface
+from optnav_cli.orbit.landing.rays import DigitalSurface
 from optnav_cli.orbit.qso.motion import MoonMotion, split
 from optnav_cli.reasons import ReasonCode
 

@@ -15,16 +15,16 @@ from catalog.files import hash_file, replacing_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.frames.orbit_tables import LANDING, LANDING_IMPULSE, LANDING_PATH
-from optnav_cli.orbit.landing_descent import Touchdown
-from optnav_cli.orbit.landing_navigation import beams_about
-from optnav_cli.orbit.landing_settings import (
+from optnav_cli.orbit.landing.descent import Touchdown
+from optnav_cli.orbit.landing.navigation import beams_about
+from optnav_cli.orbit.landing.settings import (
     IMPULSE_CSV,
     LANDING_CSV,
     LANDING_KIND,
     PATH_CSV,
     load_landing_settings,
 )
-from optnav_cli.orbit.landing_trials import (
+from optnav_cli.orbit.landing.trials import (
     STEP_S,
     LandingTask,
     LandingTrial,

@@ -1,0 +1,1 @@
+"""Landings on a small moon."""
