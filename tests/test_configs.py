@@ -80,7 +80,7 @@ def load_landing(path: Path) -> object:
 
 
 def load_delivery(path: Path) -> object:
-    from optnav_cli.orbit.delivery_settings import load_delivery_settings
+    from optnav_cli.orbit.delivery.settings import load_delivery_settings
 
     return load_delivery_settings(path)
 
@@ -220,7 +220,7 @@ def config_type(kind: str) -> type[msgspec.Struct]:
 
         return OrbitFitSettings
     if kind == "delivery":
-        from optnav_cli.orbit.delivery_settings import DeliverySettings
+        from optnav_cli.orbit.delivery.settings import DeliverySettings
 
         return DeliverySettings
     if kind == "landing":

@@ -261,7 +261,7 @@ def delivery(progress: ConsoleProgress, settings: Path, output: Path) -> None:
       optnav orbit delivery bundled:delivery_moon -o delivery
       optnav report delivery -o delivery.html
     """
-    from optnav_cli.runs.delivery_folder import delivery_folder, delivery_lines
+    from optnav_cli.orbit.delivery.job import delivery_folder, delivery_lines
 
     tell(delivery_lines(delivery_folder(settings, output, progress)))
     click.echo(output)

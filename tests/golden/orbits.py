@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from optnav_cli.frames.orbit_tables import DELIVERY_STAGES, LANDING, QSO
-from optnav_cli.orbit.delivery_settings import STAGES_CSV
+from optnav_cli.orbit.delivery.settings import STAGES_CSV
 from optnav_cli.orbit.landing.settings import LANDING_CSV
 from optnav_cli.orbit.qso.settings import QSO_CSV
 from tests.golden.flights import optnav

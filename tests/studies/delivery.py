@@ -9,15 +9,15 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.body import load_body
 from catalog.progress import Progress
-from optnav_cli.orbit.delivery import (
+from optnav_cli.orbit.delivery.boxes import (
     DeliveryTask,
     biased_navigation,
     cover,
     delivery_task,
     fly_deliveries,
 )
-from optnav_cli.orbit.delivery_settings import load_delivery_settings
-from optnav_cli.runs.delivery_folder import KM, SHARE
+from optnav_cli.orbit.delivery.job import KM, SHARE
+from optnav_cli.orbit.delivery.settings import load_delivery_settings
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 
 CASES = (

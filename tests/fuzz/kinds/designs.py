@@ -1,6 +1,6 @@
 """Settings of quasi-satellite orbits, landings and deliveries, and folders that are damaged."""
 
-from optnav_cli.orbit.delivery_settings import DeliverySettings
+from optnav_cli.orbit.delivery.settings import DeliverySettings
 from optnav_cli.orbit.landing.settings import LandingSettings
 from optnav_cli.orbit.qso.settings import QsoSettings
 from tests.fuzz.cases import DATA, NOTHING, Case, Place, kind

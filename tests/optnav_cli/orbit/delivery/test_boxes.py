@@ -9,16 +9,16 @@ import pytest
 
 from catalog.bodies.body import load_body
 from catalog.errors import ConfigError, NoSolutionError
-from optnav_cli.orbit import delivery
-from optnav_cli.orbit.delivery import (
+from optnav_cli.orbit.delivery import boxes as delivery
+from optnav_cli.orbit.delivery.boxes import (
     DeliveryTask,
     biased_navigation,
     cover,
     delivery_task,
     fly_deliveries,
 )
-from optnav_cli.orbit.delivery_path import b_plane
-from optnav_cli.orbit.delivery_settings import (
+from optnav_cli.orbit.delivery.path import b_plane
+from optnav_cli.orbit.delivery.settings import (
     AimSettings,
     DeliverySettings,
     ThrustSettings,

@@ -20,9 +20,9 @@ from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import DAY_S, utc_to_tdb_s
 from catalog.errors import ConfigError, NoSolutionError
-from optnav_cli.orbit.delivery_navigation import ArcMeasurements, arc_before
-from optnav_cli.orbit.delivery_path import ReferencePath, TargetMotion, reference_path
-from optnav_cli.orbit.delivery_settings import DeliverySettings
+from optnav_cli.orbit.delivery.navigation import ArcMeasurements, arc_before
+from optnav_cli.orbit.delivery.path import ReferencePath, TargetMotion, reference_path
+from optnav_cli.orbit.delivery.settings import DeliverySettings
 from optnav_cli.reasons import ReasonCode
 
 CELLS = 24  # along each axis of a set

@@ -16,7 +16,7 @@ from catalog.files import hash_file, replacing_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.frames.orbit_tables import DELIVERY_ARRIVALS, DELIVERY_BOXES, DELIVERY_STAGES
-from optnav_cli.orbit.delivery import (
+from optnav_cli.orbit.delivery.boxes import (
     BoxStage,
     DeliveryTask,
     TrialStages,
@@ -24,7 +24,7 @@ from optnav_cli.orbit.delivery import (
     delivery_task,
     fly_deliveries,
 )
-from optnav_cli.orbit.delivery_settings import (
+from optnav_cli.orbit.delivery.settings import (
     ARRIVALS_CSV,
     BOXES_CSV,
     DELIVERY_KIND,

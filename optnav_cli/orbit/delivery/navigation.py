@@ -20,8 +20,8 @@ from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.rotations import ARCSEC
 from catalog.geometry.vectors import perpendicular_basis
 from optnav_cli.estimation.consider import considered
-from optnav_cli.orbit.delivery_path import ReferencePath
-from optnav_cli.orbit.delivery_settings import DeliverySettings, OpticalSettings, RadioSettings
+from optnav_cli.orbit.delivery.path import ReferencePath
+from optnav_cli.orbit.delivery.settings import DeliverySettings, OpticalSettings, RadioSettings
 from optnav_cli.reasons import ReasonCode
 
 PRIOR_M, PRIOR_M_S = 1e6, 100.0  # 1 sigma of a state before its arc: keeps short arcs solvable

@@ -10,7 +10,7 @@ from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.tables import CsvRow
 from optnav_cli.frames.orbit_tables import DELIVERY_ARRIVALS, DELIVERY_BOXES, DELIVERY_STAGES
-from optnav_cli.orbit.delivery_settings import ARRIVALS_CSV, BOXES_CSV, STAGES_CSV
+from optnav_cli.orbit.delivery.settings import ARRIVALS_CSV, BOXES_CSV, STAGES_CSV
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.wording import json_text
 from optnav_cli.report import page as html

@@ -1,0 +1,1 @@
+"""Accuracy of a delivery to a body."""
