@@ -68,7 +68,7 @@ def load_qso(path: Path) -> object:
 
 
 def load_orbit_fit(path: Path) -> object:
-    from optnav_cli.orbit.settings import load_orbit_settings
+    from optnav_cli.orbit.fit.settings import load_orbit_settings
 
     return load_orbit_settings(path)
 
@@ -98,8 +98,8 @@ def load_model(path: Path) -> object:
     from optnav_cli.cylinder.geometry import CylinderErrorSizes
     from optnav_cli.hazard.model import HazardModel
     from optnav_cli.navigation.descent_state import DescentErrorSizes
-    from optnav_cli.orbit.motion import OrbitNoiseSizes
-    from optnav_cli.orbit.shared_errors import SharedErrorSizes
+    from optnav_cli.orbit.fit.motion import OrbitNoiseSizes
+    from optnav_cli.orbit.fit.shared_errors import SharedErrorSizes
     from optnav_cli.outline.disc.size import DiscErrorSizes
     from optnav_cli.outline.limb.sizes import HorizonSizes
     from optnav_cli.outline.silhouette.method import SilhouetteErrors
@@ -216,7 +216,7 @@ def config_type(kind: str) -> type[msgspec.Struct]:
 
         return QsoSettings
     if kind == "orbit":
-        from optnav_cli.orbit.settings import OrbitFitSettings
+        from optnav_cli.orbit.fit.settings import OrbitFitSettings
 
         return OrbitFitSettings
     if kind == "delivery":

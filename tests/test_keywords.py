@@ -22,7 +22,7 @@ READERS: tuple[str, ...] = (
     "optnav_cli.archives.label_keywords",
     "optnav_cli.archives.label_pixels",
     "optnav_cli.frames.picture_tags",
-    "optnav_cli.orbit.oem_reader",
+    "optnav_cli.orbit.fit.oem_reader",
 )
 
 

@@ -69,8 +69,8 @@ def fit(runs: tuple[Path, ...], config: Path | None, solve: tuple[str, ...], out
       optnav orbit fit run-1 run-2 --solve clock,focal -o orbit
       optnav orbit fit run --config orbit.toml -o orbit
     """
-    from optnav_cli.orbit.settings import OrbitFitSettings, load_orbit_settings
-    from optnav_cli.runs.orbit_folder import fit_runs
+    from optnav_cli.orbit.fit.job import fit_runs
+    from optnav_cli.orbit.fit.settings import OrbitFitSettings, load_orbit_settings
 
     settings = load_orbit_settings(config) if config else OrbitFitSettings()
     announce_compilation()
@@ -110,7 +110,7 @@ def predict(
       optnav orbit predict orbit --to 2026-01-01T12:00:00Z --step 600
       optnav orbit predict orbit --to 2026-01-01T12:00:00Z -o ahead.oem
     """
-    from optnav_cli.runs.orbit_files import predict_orbit, prediction_lines, write_orbit
+    from optnav_cli.orbit.fit.files import predict_orbit, prediction_lines, write_orbit
 
     announce_compilation()
     path, prediction = predict_orbit(orbit, to_utc, step_s, progress)
@@ -140,7 +140,7 @@ def export(orbit: Path, craft: int, output: Path) -> None:
       optnav orbit export orbit -o orbit.bsp
       optnav orbit export orbit -o orbit.oem
     """
-    from optnav_cli.runs.orbit_files import export_orbit
+    from optnav_cli.orbit.fit.files import export_orbit
 
     export_orbit(orbit, output, craft)
     click.echo(output)
@@ -179,7 +179,7 @@ def time(run: Path, orbit: Path, craft: int, margin_s: float, output: Path) -> N
       optnav orbit time run --orbit orbit -o times.csv
       optnav orbit time run --orbit craft.oem -o times.csv
     """
-    from optnav_cli.runs.orbit_files import time_pictures
+    from optnav_cli.orbit.fit.files import time_pictures
 
     announce_compilation()
     tell(time_pictures(run, orbit, output, margin_s, craft))

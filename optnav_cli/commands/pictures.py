@@ -249,7 +249,7 @@ def _evaluate_measured(folder: Path, truth: Path, kind: str, as_json: bool) -> N
 
 def _evaluate_orbit(folder: Path, truth: Path, as_json: bool, given: dict[str, Any]) -> None:
     from optnav_cli.evaluation.figures import Limits, check_limits, limit_checks
-    from optnav_cli.evaluation.orbit_errors import evaluate_orbit, write_orbit_evaluation
+    from optnav_cli.orbit.fit.evaluate import evaluate_orbit, write_orbit_evaluation
     from optnav_cli.output.wording import json_text
 
     found, wanted = evaluate_orbit(folder, truth), Limits(**given)

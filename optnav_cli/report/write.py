@@ -11,18 +11,18 @@ from optnav_cli.hazard.page import hazard_page
 from optnav_cli.hazard.settings import KIND as HAZARD
 from optnav_cli.orbit.delivery.page import delivery_page, delivery_sheet
 from optnav_cli.orbit.delivery.settings import DELIVERY_KIND
+from optnav_cli.orbit.fit.page import orbit_page, orbit_sheet
+from optnav_cli.orbit.fit.settings import KIND as ORBIT
 from optnav_cli.orbit.landing.page import landing_page, landing_sheet
 from optnav_cli.orbit.landing.settings import LANDING_KIND
 from optnav_cli.orbit.qso.page import qso_page, qso_sheet
 from optnav_cli.orbit.qso.settings import QSO_KIND
-from optnav_cli.orbit.settings import KIND as ORBIT
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.points.plots import is_picked, picked_sheet
 from optnav_cli.report import page, sheet
 from optnav_cli.report.calibration_page import calibration_page, is_calibration
 from optnav_cli.report.catalog_page import catalog_page
 from optnav_cli.report.error_plots import error_sheet
-from optnav_cli.report.orbit_page import orbit_page, orbit_sheet
 from optnav_cli.report.run_page import run_page
 from optnav_cli.stars.page import STARS_KIND, stars_page
 

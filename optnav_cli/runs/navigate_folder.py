@@ -35,7 +35,7 @@ from optnav_cli.frames.run_settings import RUN_TOML
 from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.descent import DescentMemory, DescentNavigator
 from optnav_cli.navigation.history import SAME_TIME_S
-from optnav_cli.orbit.zenith import ZENITH_CSV
+from optnav_cli.orbit.fit.zenith import ZENITH_CSV
 from optnav_cli.output.manifest import hash_files, is_finished, unfinished, versions, write_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.recording import Recording, describe

@@ -12,8 +12,8 @@ from catalog.errors import DataError
 from optnav_cli.fix import PositionPrior
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RUN_TOML
-from optnav_cli.orbit.folder import ORBIT_CSV, ORBIT_TOML, read_orbit, stated_turn
-from optnav_cli.orbit.predict import OrbitPath
+from optnav_cli.orbit.fit.folder import ORBIT_CSV, ORBIT_TOML, read_orbit, stated_turn
+from optnav_cli.orbit.fit.predict import OrbitPath
 
 SOURCE = "orbit"  # what solution.csv calls the prior
 

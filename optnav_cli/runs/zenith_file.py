@@ -18,8 +18,8 @@ from optnav_cli.fix import Method, Solution
 from optnav_cli.frames.folder import Folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.observation import FROM_FILE
-from optnav_cli.orbit.folder import stated_turn
-from optnav_cli.orbit.zenith import zenith_distances, zenith_row
+from optnav_cli.orbit.fit.folder import stated_turn
+from optnav_cli.orbit.fit.zenith import zenith_distances, zenith_row
 from optnav_cli.stars.zenith_pair import SightPlace, navigation_stars, zenith_pair
 
 LIMB = (Method.HORIZON, Method.HORIZON_SPHERE)

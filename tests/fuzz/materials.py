@@ -28,7 +28,7 @@ from optnav_cli.fix import Fix, Method, Solution
 from optnav_cli.frames.orbit_tables import ZENITH
 from optnav_cli.frames.run_settings import FileAttitude, RunSettings, write_run_settings
 from optnav_cli.main import run
-from optnav_cli.orbit.zenith import zenith_distances, zenith_row
+from optnav_cli.orbit.fit.zenith import zenith_distances, zenith_row
 from optnav_cli.output.tables import write_solutions
 
 MOON_DEG = "+proj=longlat +R=1737400 +no_defs"

@@ -16,10 +16,10 @@ from catalog.progress import Progress
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement, batch, nuisance, smooth
-from optnav_cli.orbit.fit import OrbitFit
-from optnav_cli.orbit.motion import rnb_of
-from optnav_cli.orbit.problem import OrbitFix, OrbitPrior
-from optnav_cli.orbit.settings import NoiseSettings, ParameterSettings
+from optnav_cli.orbit.fit.fit import OrbitFit
+from optnav_cli.orbit.fit.motion import rnb_of
+from optnav_cli.orbit.fit.problem import OrbitFix, OrbitPrior
+from optnav_cli.orbit.fit.settings import NoiseSettings, ParameterSettings
 from tests.studies.orbit_fits import AHEAD_H, Judged, OrbitFigure, moon, predicted, solved
 from tests.studies.orbit_flights import (
     DAY_SIDE,

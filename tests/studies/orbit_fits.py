@@ -8,10 +8,10 @@ import numpy as np
 from catalog.arrays import FloatArray
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
-from optnav_cli.orbit.fit import OrbitFit, fit_orbit
-from optnav_cli.orbit.motion import ArcMotion, OrbitNoiseSizes
-from optnav_cli.orbit.problem import OrbitFix, OrbitPrior, OrbitProblem
-from optnav_cli.orbit.settings import NoiseSettings, ParameterSettings
+from optnav_cli.orbit.fit.fit import OrbitFit, fit_orbit
+from optnav_cli.orbit.fit.motion import ArcMotion, OrbitNoiseSizes
+from optnav_cli.orbit.fit.problem import OrbitFix, OrbitPrior, OrbitProblem
+from optnav_cli.orbit.fit.settings import NoiseSettings, ParameterSettings
 from tests.studies.orbit_flights import TrueFlight, ephemeris_of
 
 GATE = 1e-5

@@ -25,8 +25,8 @@ from optnav_cli.dynamics.forces import SUNLIGHT, Forces
 from optnav_cli.dynamics.gravity_field import read_field
 from optnav_cli.dynamics.orbit_integrator import acceleration
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
-from optnav_cli.orbit.motion import rnb_of, white
-from optnav_cli.orbit.problem import OrbitFix
+from optnav_cli.orbit.fit.motion import rnb_of, white
+from optnav_cli.orbit.fit.problem import OrbitFix
 
 START_UTC = "2026-01-01T00:00:00Z"
 HEIGHT_M = 100e3

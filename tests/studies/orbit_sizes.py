@@ -10,8 +10,8 @@ from itertools import product
 
 import numpy as np
 
-from optnav_cli.orbit.motion import ArcMotion, OrbitNoiseSizes
-from optnav_cli.orbit.settings import NoiseSettings
+from optnav_cli.orbit.fit.motion import ArcMotion, OrbitNoiseSizes
+from optnav_cli.orbit.fit.settings import NoiseSettings
 from tests.studies.orbit_fits import AHEAD_H, Judged, OrbitFigure, moon, solved
 from tests.studies.orbit_flights import day_fixes, rough_flights
 

@@ -20,10 +20,10 @@ from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.points import PickedPoint
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
-from optnav_cli.orbit.problem import OrbitFix
-from optnav_cli.orbit.settings import ParameterSettings
+from optnav_cli.orbit.fit.lens import sight_of
+from optnav_cli.orbit.fit.problem import OrbitFix
+from optnav_cli.orbit.fit.settings import ParameterSettings
 from optnav_cli.points.method import PickedFrames
-from optnav_cli.runs.picked_orbit import sight_of
 from tests.studies.orbit_fits import OrbitFigure, solved
 from tests.studies.orbit_flights import TrueFlight, ephemeris_of
 from tests.studies.picked_orbits import MINUTES, EarthFlights

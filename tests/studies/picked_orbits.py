@@ -23,14 +23,14 @@ from catalog.geometry.vectors import angle_between
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.frames.run_settings import RunSettings, write_run_settings
-from optnav_cli.orbit.fit import OrbitFit
-from optnav_cli.orbit.folder import read_orbit
-from optnav_cli.orbit.output import write_orbit_folder
-from optnav_cli.orbit.picture_times import picture_times
-from optnav_cli.orbit.predict import OrbitPath
-from optnav_cli.orbit.problem import OrbitFix, OrbitPrior
-from optnav_cli.orbit.settings import NoiseSettings, OrbitFitSettings, ParameterSettings
-from optnav_cli.orbit.unobserved import UNOBSERVED
+from optnav_cli.orbit.fit.fit import OrbitFit
+from optnav_cli.orbit.fit.folder import read_orbit
+from optnav_cli.orbit.fit.output import write_orbit_folder
+from optnav_cli.orbit.fit.picture_times import picture_times
+from optnav_cli.orbit.fit.predict import OrbitPath
+from optnav_cli.orbit.fit.problem import OrbitFix, OrbitPrior
+from optnav_cli.orbit.fit.settings import NoiseSettings, OrbitFitSettings, ParameterSettings
+from optnav_cli.orbit.fit.unobserved import UNOBSERVED
 from tests.studies.orbit_fits import OrbitFigure, solved
 from tests.studies.orbit_flights import LENS, TrueFlight, ephemeris_of, every, fly, sight_of
 

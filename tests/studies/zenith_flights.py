@@ -15,11 +15,11 @@ from catalog.bodies.stars import bright_stars
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings, SunlightSettings
-from optnav_cli.orbit.motion import ArcMotion, rnb_of
-from optnav_cli.orbit.problem import Trajectory
-from optnav_cli.orbit.settings import NoiseSettings, ParameterSettings
-from optnav_cli.orbit.zenith import ZenithSights, zenith_distances
-from optnav_cli.orbit.zenith_fit import ZenithFit, settled, zenith_problem
+from optnav_cli.orbit.fit.motion import ArcMotion, rnb_of
+from optnav_cli.orbit.fit.problem import Trajectory
+from optnav_cli.orbit.fit.settings import NoiseSettings, ParameterSettings
+from optnav_cli.orbit.fit.zenith import ZenithSights, zenith_distances
+from optnav_cli.orbit.fit.zenith_fit import ZenithFit, settled, zenith_problem
 from optnav_cli.stars.zenith_pair import SightPlace, navigation_stars, zenith_pair
 from tests.studies.orbit_flights import ephemeris_of, fly
 

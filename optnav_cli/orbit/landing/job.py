@@ -15,6 +15,7 @@ from catalog.files import hash_file, replacing_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.frames.orbit_tables import LANDING, LANDING_IMPULSE, LANDING_PATH
+from optnav_cli.orbit.fit.oem import Oem, write_oem
 from optnav_cli.orbit.landing.descent import Touchdown
 from optnav_cli.orbit.landing.navigation import beams_about
 from optnav_cli.orbit.landing.settings import (
@@ -33,7 +34,6 @@ from optnav_cli.orbit.landing.trials import (
     landing_task,
     wrong_ground,
 )
-from optnav_cli.orbit.oem import Oem, write_oem
 from optnav_cli.orbit.qso.settings import FOLDER, moon_of
 from optnav_cli.output.manifest import write_manifest
 from optnav_cli.output.wording import table_lines

@@ -18,7 +18,7 @@ from catalog.files import hash_file, replacing_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.frames.orbit_tables import BODY_STATE, INERTIAL, QSO, QSO_PASSES, QSO_PATHS
-from optnav_cli.orbit.oem import Oem, write_oem
+from optnav_cli.orbit.fit.oem import Oem, write_oem
 from optnav_cli.orbit.qso.motion import MoonMotion
 from optnav_cli.orbit.qso.search import QsoOrbit, QsoSearch, QsoStart
 from optnav_cli.orbit.qso.settings import (

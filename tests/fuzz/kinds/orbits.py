@@ -2,8 +2,8 @@
 
 import re
 
-from optnav_cli.orbit.oem_reader import KEYWORDS, METHODS, STRUCTURE, TIME_SYSTEMS
-from optnav_cli.orbit.settings import OrbitFitSettings
+from optnav_cli.orbit.fit.oem_reader import KEYWORDS, METHODS, STRUCTURE, TIME_SYSTEMS
+from optnav_cli.orbit.fit.settings import OrbitFitSettings
 from tests.fuzz.cases import DATA, NOTHING, OPEN, USAGE, Case, Place, kind
 from tests.fuzz.damage import damaged
 from tests.fuzz.kinds.configs import ConfigKind

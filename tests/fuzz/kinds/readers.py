@@ -15,7 +15,7 @@ from optnav_cli.archives.isis_cube import read_cube_pose
 from optnav_cli.archives.source import read_sources
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.frames.picture import load_picture
-from optnav_cli.orbit.oem_reader import read_oem
+from optnav_cli.orbit.fit.oem_reader import read_oem
 from tests.fuzz.cases import DATA, OK, Case, Place, kind
 from tests.fuzz.kinds import kernels, labels, map_words, orbits, pictures
 

@@ -14,9 +14,9 @@ from optnav_cli.dynamics.forces import Forces
 from optnav_cli.fix import Fix, Method, Solution
 from optnav_cli.frames.run_settings import FileAttitude, RunSettings, write_run_settings
 from optnav_cli.frames.truth import Truth, write_truth
-from optnav_cli.orbit.motion import ArcMotion
-from optnav_cli.orbit.problem import OrbitFix, OrbitProblem
-from optnav_cli.orbit.settings import NoiseSettings
+from optnav_cli.orbit.fit.motion import ArcMotion
+from optnav_cli.orbit.fit.problem import OrbitFix, OrbitProblem
+from optnav_cli.orbit.fit.settings import NoiseSettings
 from optnav_cli.output.tables import write_solutions
 
 MOON = load_body("moon")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from catalog.errors import NoSolutionError
-from optnav_cli.orbit.fit import fit_orbit
-from optnav_cli.orbit.settings import NoiseSettings
+from optnav_cli.orbit.fit.fit import fit_orbit
+from optnav_cli.orbit.fit.settings import NoiseSettings
 from tests.optnav_cli.orbit.flights import flight, moved, problem
 
 

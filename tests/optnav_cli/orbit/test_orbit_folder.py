@@ -8,9 +8,9 @@ import pytest
 
 from catalog.errors import DataError
 from optnav_cli.main import run
-from optnav_cli.orbit.folder import read_orbit
-from optnav_cli.orbit.oem import Oem, write_oem
-from optnav_cli.orbit.oem_reader import read_oem
+from optnav_cli.orbit.fit.folder import read_orbit
+from optnav_cli.orbit.fit.oem import Oem, write_oem
+from optnav_cli.orbit.fit.oem_reader import read_oem
 from optnav_cli.output.run_folder import read_run
 from tests.optnav_cli.orbit.flights import MOON, START_S, fixes_of, truth, write_run, write_truth_of
 

@@ -7,11 +7,11 @@ from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import ConfigError, UsageError
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings, ThrustArc
-from optnav_cli.orbit.fit import densify, fit_orbit
-from optnav_cli.orbit.motion import ArcMotion
-from optnav_cli.orbit.problem import OrbitPrior, OrbitProblem
-from optnav_cli.orbit.settings import NoiseSettings, OrbitFitSettings, ParameterSettings
-from optnav_cli.runs.orbit_folder import with_solved
+from optnav_cli.orbit.fit.fit import densify, fit_orbit
+from optnav_cli.orbit.fit.job import with_solved
+from optnav_cli.orbit.fit.motion import ArcMotion
+from optnav_cli.orbit.fit.problem import OrbitPrior, OrbitProblem
+from optnav_cli.orbit.fit.settings import NoiseSettings, OrbitFitSettings, ParameterSettings
 from tests.optnav_cli.orbit.flights import (
     EPHEMERIS,
     MOON,

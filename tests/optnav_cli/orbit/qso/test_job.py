@@ -8,7 +8,7 @@ import pytest
 from catalog.progress import SilentProgress
 from optnav_cli.frames.orbit_tables import QSO, QSO_PASSES
 from optnav_cli.main import run
-from optnav_cli.orbit.oem_reader import read_oem
+from optnav_cli.orbit.fit.oem_reader import read_oem
 from optnav_cli.orbit.qso.theory import phase_rate
 from tests.studies.qso import periodic_rate
 from tests.studies.qso import report as study_report

@@ -1,0 +1,1 @@
+"""Orbits through fixes and zenith distances, prediction, OEM and SPK."""

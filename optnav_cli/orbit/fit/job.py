@@ -1,0 +1,372 @@
+"""Runs to an orbit and its folder, as `optnav orbit fit` does."""
+
+import logging
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from catalog.bodies.body import Body
+from catalog.bodies.ephemeris import Ephemeris, motion_of
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.errors import ConfigError, DataError, NothingToDoError, UsageError
+from catalog.files import MANIFEST, replacing_folder
+from catalog.places import check_apart
+from catalog.progress import logged_stage
+from catalog.terrain.dem.file import path_of
+from optnav_cli.camera.camera import Camera
+from optnav_cli.dynamics.forces import Forces
+from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
+from optnav_cli.fix import Method, Solution
+from optnav_cli.frames.run_settings import FileAttitude, write_run_settings
+from optnav_cli.orbit.fit.fit import OrbitFit, densify, fit_orbit
+from optnav_cli.orbit.fit.folder import SMOOTHED
+from optnav_cli.orbit.fit.lens import (
+    sight_of,
+    with_lens_errors,
+    without_lens_error,
+    write_calibrated,
+)
+from optnav_cli.orbit.fit.motion import ArcMotion
+from optnav_cli.orbit.fit.output import record, smoothed_solutions, summary, write_orbit_folder
+from optnav_cli.orbit.fit.priors import orbit_priors
+from optnav_cli.orbit.fit.problem import OrbitFix, OrbitPrior, OrbitProblem
+from optnav_cli.orbit.fit.settings import (
+    KIND,
+    OF_SIGHTS,
+    PARAMETERS,
+    OrbitFitSettings,
+    ParameterSettings,
+)
+from optnav_cli.orbit.fit.zenith import ZENITH_CSV
+from optnav_cli.orbit.fit.zenith_job import fit_zenith_files, is_zenith
+from optnav_cli.output.manifest import hash_files, read_manifest, write_manifest
+from optnav_cli.output.run_folder import RECORDING, SOLUTION, RunFolder, read_run
+from optnav_cli.output.tables import write_solutions
+
+log = logging.getLogger(__name__)
+
+MAX_FIXES = 20_000
+DEEPEST = 0.9  # of the least radius: no fix is deeper, whatever its error
+MIN_SIGMA_M = 1e-4  # what the columns of positions resolve
+
+
+@dataclass(frozen=True, eq=False)
+class RunFixes:
+    """The rows of several runs, under names that differ, and the fixes among them."""
+
+    rows: list[tuple[Solution, Camera | None]]
+    fixes: list[OrbitFix]
+    body: Body
+    attitude: FileAttitude
+
+
+def fit_runs(
+    runs: Sequence[Path],
+    output: Path,
+    settings: OrbitFitSettings,
+    solve: Sequence[str] = (),
+    beside: Path = Path(),
+) -> list[str]:
+    """Fit an orbit through the solved frames of runs and write its folder; lines for people.
+
+    solve   names of parameters in short, besides those of the settings
+    beside  the folder that files named in the settings are sought from
+    Raises DataError for runs that cannot be used, NothingToDoError without fixes, NoSolutionError
+    where they fit no orbit.
+    """
+    started = datetime.now(UTC)
+    check_apart(output, runs)
+    with logged_stage("orbit"):
+        if any(map(is_zenith, runs)):
+            settings = _with_whole_paths(settings, beside)
+            return fit_zenith_files(runs, output, settings, solve, beside, started)
+        read = [read_run(path) for path in runs]
+        named = {*solve, *(parameter.name for parameter in settings.parameter)}
+        found = read_fixes(read, lens="focal" in named)
+        kernels = _kernels(read, settings, beside)
+        ephemeris = motion_of(found.body, [Path(name) for name in kernels])
+        warn_of_unknown_gravity(found.body, settings.forces)
+        priors = orbit_priors(settings.prior, ephemeris, beside, _ends(found.fixes))
+        found = _with_times(found, settings.fixes.time_sigma_s)
+        settings = _with_whole_paths(settings, beside)
+        settings = with_solved(settings, solve, found.fixes, priors)
+        cameras = [camera for _, camera in found.rows]
+        settings = with_lens_errors(settings, cameras)
+        problem = problem_of(found, settings, ephemeris, priors, beside)
+        with replacing_folder(output, KIND) as place:
+            fit = fit_orbit(problem, settings.noise.model, settings.gate_probability)
+            _write(place, fit, settings, kernels, found, read)
+            lenses = write_calibrated(place, fit, cameras)
+            write_manifest(
+                place,
+                KIND,
+                command="orbit fit",
+                options={"config": msgspec.to_builtins(settings), "solve": list(solve)},
+                inputs=_inputs(runs, ephemeris),
+                results={"fixes": len(fit.residuals), "used": fit.used},
+                started=started,
+            )
+    return [*summary(fit), *lenses, *_other_sights(runs)]
+
+
+def _other_sights(runs: Sequence[Path]) -> list[str]:
+    """What else the runs hold that an orbit can be fitted through, for people."""
+    files = [run / ZENITH_CSV for run in runs]
+    return [
+        f"{file} is there too: name it to fit the zenith distances in place of the fixes"
+        for file in files
+        if file.is_file()
+    ]
+
+
+def _write(
+    place: Path,
+    fit: OrbitFit,
+    settings: OrbitFitSettings,
+    kernels: Sequence[str],
+    found: RunFixes,
+    read: Sequence[RunFolder],
+) -> None:
+    write_orbit_folder(place, fit, densify(fit, settings.step_s), settings, kernels)
+    write_run_settings(read[0].settings, place)
+    smoothed = smoothed_solutions(fit, [solution for solution, _ in found.rows])
+    write_solutions(place / SMOOTHED, smoothed, found.attitude)
+    cameras = [camera for _, camera in found.rows]
+    record(place / RECORDING, found.body, list(zip(smoothed, cameras, strict=True)))
+
+
+def _with_whole_paths(settings: OrbitFitSettings, beside: Path) -> OrbitFitSettings:
+    """The settings with the field's file as it is found from anywhere."""
+    if settings.forces.field is None:
+        return settings
+    field = str(path_of(settings.forces.field, beside).resolve())
+    forces = msgspec.structs.replace(settings.forces, field=field)
+    return msgspec.structs.replace(settings, forces=forces)
+
+
+def problem_of(
+    found: RunFixes,
+    settings: OrbitFitSettings,
+    ephemeris: Ephemeris,
+    priors: list[OrbitPrior],
+    beside: Path,
+) -> OrbitProblem:
+    """What is fitted; beside: where a gravity field is sought."""
+    motion = ArcMotion(Forces(ephemeris, settings.forces, beside), settings.noise)
+    parameters = list(settings.parameter)
+    return OrbitProblem(motion, found.fixes, priors, parameters, found.body.radius_m)
+
+
+def read_fixes(
+    runs: Sequence[RunFolder], *, lens: bool = False, timeless: bool = False
+) -> RunFixes:
+    """The solved frames of runs; lens: without what is stated of the focal lengths.
+
+    timeless  whether a row may have no time: its fix then is of NaN TDB s
+
+    Raises DataError for runs of several bodies or damaged fixes.
+    """
+    first = runs[0]
+    places = Counter(run.path.resolve() for run in runs)
+    for run in runs:
+        if places[run.path.resolve()] > 1:
+            raise DataError(f"{run.path}: is named twice; name each run once")
+        if run.attitude.body != first.attitude.body:
+            raise DataError(
+                f"{run.path}: its fixes are about {run.attitude.body.name}, those of {first.path} "
+                f"about {first.attitude.body.name}; fit each body by itself"
+            )
+    files = Counter(solution.file for run in runs for solution in run.solutions)
+    prefixed = max(files.values(), default=1) > 1
+    rows: list[tuple[Solution, Camera | None]] = []
+    fixes = []
+    for run in runs:
+        twice = Counter(solution.file for solution in run.solutions)
+        for solution in without_lens_error(run) if lens else run.solutions:
+            where = f"{run.path / SOLUTION}: {solution.file}"
+            if twice[solution.file] > 1:
+                raise DataError(f"{where}: stands there twice; keep one row")
+            camera = run.cameras.get(solution.file)
+            name = f"{run.path.name}/{solution.file}" if prefixed else solution.file
+            row = replace(solution, file=name)
+            rows.append((row, camera))
+            if solution.solved and solution.method != Method.ORBIT:
+                if not row.utc and not timeless:
+                    raise DataError(
+                        f"{where}: has no utc; `optnav orbit time` finds it by an orbit"
+                    )
+                fix = _fix(row, run, camera.name if camera else "", where)
+                sigma = run.time_sigmas_s.get(solution.file)
+                fixes.append(replace(fix, time_sigma_s=sigma))
+    if not fixes:
+        raise NothingToDoError(
+            f"{', '.join(str(run.path) for run in runs)}: no frame is solved, so there is nothing "
+            "to fit an orbit through; see the reasons in solution.csv"
+        )
+    if len(fixes) > MAX_FIXES:
+        raise DataError(f"{len(fixes)} fixes are more than {MAX_FIXES}; fit parts of the flight")
+    return RunFixes(rows, fixes, first.attitude.body, first.attitude)
+
+
+def _fix(solution: Solution, run: RunFolder, camera: str, where: str) -> OrbitFix:
+    frame = run.attitude.places
+    position, covariance = solution.position_m, solution.covariance_m2
+    if position is None or covariance is None:
+        raise DataError(f"{where}: has no covariance; navigate again")
+    stated = frame.stated_covariance(covariance)
+    if float(np.linalg.eigvalsh(stated)[0]) < MIN_SIGMA_M**2:
+        raise DataError(
+            f"{where}: its covariance is below the digits of its position, {MIN_SIGMA_M:g} m; "
+            "navigate again"
+        )
+    if float(np.linalg.norm(position)) < DEEPEST * min(run.attitude.body.radii_m):
+        raise DataError(
+            f"{where}: its position lies inside {run.attitude.body.name}; see that run.toml names "
+            "the right body, or navigate again"
+        )
+    try:
+        time = math.nan if not solution.utc else utc_to_tdb_s(solution.utc)
+    except DataError as error:
+        raise DataError(f"{where}: {error}") from None
+    name = run.path.resolve().name
+    place, sight = frame.stated(position), None
+    if solution.fix is not None:
+        sight = sight_of(solution.fix, run.attitude.body.radius_m)
+    if sight is not None:
+        sight = frame.stated_direction(sight)
+    method = str(solution.method)
+    return OrbitFix(solution.file, solution.utc, time, name, camera, place, stated, method, sight)
+
+
+def _with_times(found: RunFixes, sigma_s: float) -> RunFixes:
+    """The fixes with the common error of their times where none of theirs is stated."""
+    fixes = [
+        replace(fix, time_sigma_s=sigma_s if fix.time_sigma_s is None else fix.time_sigma_s)
+        for fix in found.fixes
+    ]
+    return replace(found, fixes=fixes)
+
+
+def _kernels(runs: Sequence[RunFolder], settings: OrbitFitSettings, beside: Path) -> list[str]:
+    """SPICE kernels: of the settings, else those that the first run was navigated with."""
+    if settings.spice.kernels:
+        return [str(path_of(name, beside).resolve()) for name in settings.spice.kernels]
+    if not (runs[0].path / MANIFEST).exists():
+        return []
+    config = read_manifest(runs[0].path).get("options", {}).get("config", {})
+    named = config.get("spice", {}).get("kernels", []) if isinstance(config, dict) else []
+    missing = [name for name in named if not Path(name).is_file()]
+    if missing:
+        log.warning(
+            "%s: was navigated with %s, which is not there; the rotation is by theory",
+            runs[0].path,
+            missing[0],
+        )
+        return []
+    return list(named)
+
+
+def with_solved(
+    settings: OrbitFitSettings,
+    solve: Sequence[str],
+    fixes: Sequence[OrbitFix],
+    priors: Sequence[OrbitPrior],
+) -> OrbitFitSettings:
+    """The settings with the parameters that --solve names and that the noise model needs.
+
+    Raises UsageError or ConfigError for one that no fix depends on, or that nothing can tell.
+    """
+    parameters = list(settings.parameter)
+    stated = {parameter.name for parameter in parameters}
+    for name in PARAMETERS:
+        if name not in solve or name in stated:
+            continue
+        if name == "clock":
+            parameters += _clocks(fixes, bool(priors) or _are_picked(fixes))
+        elif name == "focal":
+            parameters += _lenses(fixes)
+        else:
+            parameters.append(ParameterSettings(name))
+    names = {parameter.name for parameter in parameters}
+    if settings.noise.model == "mean" and "acceleration" not in names:
+        parameters.append(ParameterSettings("acceleration"))
+    _check_owners(parameters, fixes)
+    if not priors and not _are_picked(fixes):
+        _check_clocks(parameters, fixes)
+    return msgspec.structs.replace(settings, parameter=tuple(parameters))
+
+
+def _lenses(fixes: Sequence[OrbitFix]) -> list[ParameterSettings]:
+    """A focal length for each camera."""
+    names = list(dict.fromkeys(fix.camera for fix in fixes))
+    return [ParameterSettings("focal", camera=name if len(names) > 1 else "") for name in names]
+
+
+def _are_picked(fixes: Sequence[OrbitFix]) -> bool:
+    """Whether all are of picked points: the clock of such a series is known by its stamps alone.
+
+    It then stays at its prior and is said not to be observed, for the orbit's sigma needs it.
+    """
+    return all(fix.sight_m is not None for fix in fixes)
+
+
+def _ends(fixes: Sequence[OrbitFix]) -> tuple[float, float]:
+    """TDB s of the first and the last one."""
+    times = [fix.tdb_s for fix in fixes]
+    return min(times), max(times)
+
+
+def _clocks(fixes: Sequence[OrbitFix], with_prior: bool) -> list[ParameterSettings]:
+    """A clock for each camera, or of one camera for each run; without a prior not for the first."""
+    for kind in ("camera", "run"):
+        names = list(dict.fromkeys(getattr(fix, kind) for fix in fixes))
+        if len(names) > 1:
+            wanted = names if with_prior else names[1:]
+            return [ParameterSettings("clock", **{kind: name}) for name in wanted]
+    return [ParameterSettings("clock")]
+
+
+def _check_owners(parameters: Sequence[ParameterSettings], fixes: Sequence[OrbitFix]) -> None:
+    cameras, runs = {fix.camera for fix in fixes}, {fix.run for fix in fixes}
+    for parameter in parameters:
+        if parameter.name in OF_SIGHTS:
+            raise ConfigError(
+                f"[[parameter]] {parameter.name} belongs to zenith distances, and there are fixes "
+                f"alone; remove it, or name a {ZENITH_CSV}"
+            )
+        for kind, name, known in (
+            ("camera", parameter.camera, cameras),
+            ("run", parameter.run, runs),
+        ):
+            if name and name not in known:
+                raise ConfigError(
+                    f"[[parameter]] {parameter.name}: no fix is of the {kind} '{name}'; there are "
+                    f"{', '.join(sorted(known))}"
+                )
+
+
+def _check_clocks(parameters: Sequence[ParameterSettings], fixes: Sequence[OrbitFix]) -> None:
+    """Raise UsageError where all fixes have clocks to solve for, and nothing states the orbit."""
+    clocks = [p for p in parameters if p.name == "clock" and p.mode == "estimate"]
+
+    def has_clock(fix: OrbitFix) -> bool:
+        return any(p.camera in ("", fix.camera) and p.run in ("", fix.run) for p in clocks)
+
+    if clocks and all(map(has_clock, fixes)):
+        raise UsageError(
+            "a clock offset common to all fixes is not observable: the body-fixed motion later is "
+            "another orbit as good as this one (1 sigma 5e4 s about the Moon); state a [[prior]], "
+            "leave one camera's or run's clock out, or give it mode = \"consider\""
+        )
+
+
+def _inputs(runs: Sequence[Path], ephemeris: Ephemeris) -> dict[str, Any]:
+    hashes = [{"path": str(p), "files_sha256": hash_files(p, [SOLUTION])} for p in runs]
+    return {"runs": hashes, "motion": ephemeris.name}

@@ -1,0 +1,114 @@
+"""Runs of picked points for an orbit: fixes without their lens's error, and the lens found.
+
+What a camera file states of its focal length (focal_length_error) is in the covariance of each fix
+of picked points. Where the lens is a parameter common to all of them, it must not be there as well:
+the frames are solved again without it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from catalog.arrays import FloatArray
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import write_camera
+from optnav_cli.fix import Fix, Method, Solution
+from optnav_cli.frames.folder import read_folder
+from optnav_cli.frames.points import POINTS_CSV
+from optnav_cli.orbit.fit.fit import OrbitFit
+from optnav_cli.orbit.fit.settings import OrbitFitSettings, ParameterSettings
+from optnav_cli.orbit.fit.unobserved import UNOBSERVED
+from optnav_cli.output.run_folder import CAMERAS, RunFolder
+from optnav_cli.points.method import PickedFrames
+
+
+def without_lens_error(run: RunFolder) -> list[Solution]:
+    """The rows of a run, those of picked points solved without an error of the focal length.
+
+    Raises DataError where the run's copies of the picture folder's files are damaged.
+    """
+    if not (run.path / POINTS_CSV).exists():
+        return run.solutions
+    folder = read_folder(run.path)
+    how = PickedFrames(folder.attitude, folder.settings.points.filled, judges_lens=False)
+    frames = {frame.file: frame for frame in folder.frames}
+    found = []
+    for row in run.solutions:
+        frame, camera = frames.get(row.file), run.cameras.get(row.file)
+        points = (folder.points or {}).get(row.file)
+        again = None
+        if row.solved and row.method is Method.PICKED_POINTS and frame and camera and points:
+            again = how.solve(frame, replace(camera, focal_length_error=0.0), points)
+        found.append(again if again is not None and again.solved else row)
+    return found
+
+
+def sight_of(fix: Fix, radius_m: float) -> FloatArray | None:
+    """(3,) m, from the ground in the middle of a picked picture to the craft, body-fixed.
+
+    A focal length wrong by a share moves the fix by this times the share. None of other fixes.
+    """
+    if fix.method is not Method.PICKED_POINTS or fix.camera_from_body is None:
+        return None
+    place = fix.position_m
+    ahead = fix.camera_from_body.inv().apply((0.0, 0.0, 1.0))
+    along = float(place @ ahead)
+    under = along**2 - float(place @ place) + radius_m**2
+    away = -along - np.sqrt(under) if under > 0.0 and along < 0.0 else 0.0
+    if away <= 0.0:
+        # the middle of the picture is beyond the limb: its points lie about the horizon
+        away = float(np.sqrt(max(float(place @ place) - radius_m**2, 0.0)))
+    sight: FloatArray = -away * np.asarray(ahead, np.float64)
+    return sight
+
+
+def with_lens_errors(
+    settings: OrbitFitSettings, cameras: Sequence[Camera | None]
+) -> OrbitFitSettings:
+    """The settings with what camera files state of their focal lengths as priors of `focal`."""
+    stated = {c.name: c.focal_length_error for c in cameras if c and c.focal_length_error > 0.0}
+
+    def with_prior(one: ParameterSettings) -> ParameterSettings:
+        if one.name != "focal" or one.prior_sigma is not None:
+            return one
+        errors = [size for name, size in stated.items() if one.camera in ("", name)]
+        return msgspec.structs.replace(one, prior_sigma=max(errors)) if errors else one
+
+    parameters = tuple(map(with_prior, settings.parameter))
+    return msgspec.structs.replace(settings, parameter=parameters)
+
+
+def write_calibrated(place: Path, fit: OrbitFit, cameras: Sequence[Camera | None]) -> list[str]:
+    """Write cameras/NAME.toml of lenses that the orbit tells, with errors; lines for people."""
+    sigmas = np.sqrt(np.diag(fit.parameter_covariance))
+    known = {camera.name: camera for camera in cameras if camera is not None}
+    lines = []
+    for p in fit.problem.estimated:
+        sigma = float(sigmas[p.span][0])
+        if p.name != "focal" or p.settings.run or sigma > UNOBSERVED * p.settings.sigma:
+            continue
+        share = float(fit.trajectory.parameters[p.span][0])
+        for name, camera in known.items():
+            if p.settings.camera not in ("", name):
+                continue
+            found = _scaled(camera, 1.0 / (1.0 + share), sigma)
+            (place / CAMERAS).mkdir(exist_ok=True)
+            write_camera(place / CAMERAS, found)
+            lines.append(
+                f"{name}: focal length {found.focal_length_px:.6g} px, not "
+                f"{camera.focal_length_px:.6g}, to {100.0 * sigma:.2g} %; in {CAMERAS}/{name}.toml"
+            )
+    return lines
+
+
+def _scaled(camera: Camera, scale: float, error: float) -> Camera:
+    y = camera.focal_length_y_px
+    return replace(
+        camera,
+        focal_length_px=camera.focal_length_px * scale,
+        focal_length_y_px=None if y is None else y * scale,
+        focal_length_error=error,
+    )

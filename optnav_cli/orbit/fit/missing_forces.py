@@ -1,0 +1,184 @@
+"""Judge an orbit's fit by the pattern of its residuals, and try the forces that it left out.
+
+A force left out moves the craft by less than one measurement shows, and by many times the sigma of
+the orbit through thousands: its residuals go together along the arc. Where chance makes them so
+with less than PATTERN_PROBABILITY, each force that the fit lacks is solved for in turn, and the one
+that mends the residuals is named. Third bodies (Sun, planet, the Earth's Moon) are in every fit.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+from scipy.special import chdtrc
+
+from catalog.arrays import BoolArray, FloatArray
+from catalog.errors import ConfigError, DataError, NoSolutionError
+from optnav_cli.dynamics.forces import Forces
+from optnav_cli.dynamics.left_out import forces_left_out
+from optnav_cli.estimation.residual_pattern import pattern_inflation, pattern_probability
+from optnav_cli.estimation.smoother import smooth
+from optnav_cli.orbit.fit.problem import OrbitProblem, Trajectory
+from optnav_cli.orbit.fit.settings import ParameterSettings
+
+# False alarms: a right fit is refused with this probability at most.
+PATTERN_PROBABILITY = 1e-6
+# Below it the covariance is inflated: of 200 right fits, 0.02 are by chance.
+INFLATED_PROBABILITY = 1e-4
+MENDING_PROBABILITY = 1e-6  # of as large a fall of chi-square by chance
+STEPS = 3  # of Gauss and Newton with a force more, from a fit that is near
+SUNLIGHT_SIGMA = 10.0  # m^2/kg: an open prior; sails have 0.2
+ACCELERATION_SIGMA = 1e-3  # m/s^2
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """A fit with what is tried: trajectory, chi-square, its pattern's probability and inflation."""
+
+    at: Trajectory
+    chi_square: float
+    probability: float
+    inflation: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A force that the fit lacks: the problem with it, numbers more, and the advice with them."""
+
+    problem: OrbitProblem
+    advice: str
+    name: str = ""  # of the parameter that is more; none: the forces have no more numbers
+
+    def value(self, at: Trajectory) -> FloatArray:
+        """Numbers (n,) of the parameter that is more."""
+        spans = [at.parameters[p.span] for p in self.problem.estimated if p.name == self.name]
+        return np.concatenate([np.empty(0), *spans])
+
+
+def check_pattern(
+    problem: OrbitProblem, at: Trajectory, used: BoolArray, *, alone: bool
+) -> tuple[float, list[str]]:
+    """Check the residuals of a fit for a pattern along the arc.
+
+    at     the trajectory that the fit found;  used  (n,) which measurements it rests on
+    alone  whether each measurement errs for itself, so that a pattern refutes the fit whatever
+           makes it; fixes of like ground may have one by themselves
+
+    Returns the factor of the covariance, 1 without a pattern, and remarks.
+    Raises NoSolutionError for a pattern that a force left out mends, or any where `alone`.
+    """
+    open_problem = _with(problem, [])
+    base = _solve(open_problem, _carried(problem, at, open_problem), used, 1)
+    if base.probability >= INFLATED_PROBABILITY:
+        return 1.0, []
+    pattern = (
+        f"the residuals of the {problem.measured} follow a pattern along the arc (chance makes it "
+        f"with {base.probability:.1g})"
+    )
+    inflated = (
+        f"{pattern}, so the orbit's sigmas are {math.sqrt(base.inflation):.3g} times those of "
+        "errors without one"
+    )
+    if base.probability >= PATTERN_PROBABILITY:
+        return (1.0, []) if alone else (base.inflation, [inflated])
+    mends, forces = mending(problem, at, used, base)
+    if mends or alone:
+        raise NoSolutionError(
+            f"the residuals refute the fit: {pattern}, as a force left out does; {forces}"
+        )
+    return base.inflation, [f"{inflated}: {forces}"]
+
+
+def mending(
+    problem: OrbitProblem, at: Trajectory, used: BoolArray, base: _Solved | None = None
+) -> tuple[bool, str]:
+    """Tell whether a force that is left out mends the residuals of a fit, and which, in words."""
+    if base is None:
+        open_problem = _with(problem, [])
+        base = _solve(open_problem, _carried(problem, at, open_problem), used, STEPS)
+    best: tuple[float, str] | None = None
+    tried = []
+    for trial in _trials(problem):
+        tried.append(trial.advice.partition(" of ")[0])
+        try:
+            found = _solve(trial.problem, _carried(problem, at, trial.problem), used, STEPS)
+        except NoSolutionError:
+            continue
+        fall, value = base.chi_square - found.chi_square, trial.value(found.at)
+        if fall <= 0.0 or chdtrc(max(len(value), 1), fall) > MENDING_PROBABILITY:
+            continue
+        if best is None or found.chi_square < best[0]:
+            advice = trial.advice.format(value=", ".join(f"{v:.3g}" for v in value))
+            best = found.chi_square, advice
+    sizes = "; ".join(forces_left_out(problem.motion.forces, at.states[0], *_span(problem)))
+    if best is None:
+        words = f"none of these mends it: {', '.join(tried)}" if tried else ""
+        return False, f"{words}; left out are {sizes}. See that sigmas and times are right"
+    force, _, remedy = best[1].partition(":")
+    return True, (
+        f"{force} lowers chi-square from {base.chi_square:.0f} to {best[0]:.0f}:{remedy} (left "
+        f"out are {sizes})"
+    )
+
+
+def _span(problem: OrbitProblem) -> tuple[float, float]:
+    return float(problem.times[0]), float(problem.times[-1] - problem.times[0])
+
+
+def _with(problem: OrbitProblem, more: Sequence[ParameterSettings]) -> OrbitProblem:
+    """The problem with all that is considered estimated, and further parameters."""
+    parameters = [msgspec.structs.replace(p, mode="estimate") for p in problem.parameters]
+    return replace(problem, parameters=[*parameters, *more])
+
+
+def _trials(problem: OrbitProblem) -> Iterator[_Trial]:
+    names = {parameter.name for parameter in problem.parameters}
+    body, settings = problem.ephemeris.body, problem.motion.forces.settings
+    if "srp" not in names:
+        sunlight = ParameterSettings("srp", prior_sigma=SUNLIGHT_SIGMA)
+        advice = "sunlight pressure of {value} m2/kg: solve for it by --solve srp"
+        yield _Trial(_with(problem, [sunlight]), advice, "srp")
+    if settings.degree is not None:
+        higher = msgspec.structs.replace(settings, degree=None)
+        try:
+            forces = Forces(problem.ephemeris, higher)
+        except (ConfigError, DataError):
+            forces = None
+        if forces is not None and forces.field.degree > problem.motion.forces.field.degree:
+            fuller = replace(_with(problem, []), motion=problem.motion.with_forces(forces))
+            advice = f"gravity of degree {forces.field.degree}: leave [forces] degree out"
+            yield _Trial(fuller, advice)
+    if "acceleration" not in names:
+        constant = ParameterSettings("acceleration", prior_sigma=ACCELERATION_SIGMA)
+        why = "drag or another constant" if body.atmosphere is not None else "a constant"
+        advice = f"{why} acceleration of {{value}} m/s2 along R, N, B: solve for it by --solve "
+        yield _Trial(_with(problem, [constant]), advice + "acceleration", "acceleration")
+
+
+def _carried(problem: OrbitProblem, at: Trajectory, to: OrbitProblem) -> Trajectory:
+    """A trajectory with the parameters of another problem; new ones are 0."""
+    parameters = np.zeros(to.width - 6)
+    before = {(p.name, p.settings.label): p for p in problem.estimated}
+    for p in to.estimated:
+        same = before.get((p.name, p.settings.label))
+        if same is not None:
+            parameters[p.span] = at.parameters[same.span]
+    return Trajectory(at.states, parameters)
+
+
+def _solve(problem: OrbitProblem, at: Trajectory, used: BoolArray, steps: int) -> _Solved:
+    weights = used.astype(np.float64)
+    for _ in range(steps):
+        arc, _ = problem.linearise(at, weights)
+        found = smooth(arc)
+        chi_square = found.chi_square + problem.left_over(at, weights)
+        deltas = found.deviations[:, : problem.width, 0]
+        at = Trajectory(at.states + deltas[:, :6], at.parameters + deltas[-1, 6:])
+    pattern = *problem.standardised(at, found, used), _revolution_s(problem, at)
+    return _Solved(at, chi_square, pattern_probability(*pattern), pattern_inflation(*pattern))
+
+
+def _revolution_s(problem: OrbitProblem, at: Trajectory) -> float:
+    return float(2.0 * np.pi * problem.motion.radian_s(at.states[0, :3]))

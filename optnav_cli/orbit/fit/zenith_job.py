@@ -1,0 +1,177 @@
+"""Zenith distances to an orbit and its folder, as `optnav orbit fit` does with a zenith.csv."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from catalog.bodies.body import Body, load_body
+from catalog.bodies.ephemeris import motion_of
+from catalog.errors import DataError, UsageError
+from catalog.files import hash_file, replacing_folder
+from catalog.terrain.dem.file import path_of
+from optnav_cli.dynamics.forces import Forces
+from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
+from optnav_cli.frames.run_settings import (
+    RUN_TOML,
+    RunSettings,
+    read_run_settings,
+    write_run_settings,
+)
+from optnav_cli.orbit.fit.motion import ArcMotion
+from optnav_cli.orbit.fit.priors import orbit_priors
+from optnav_cli.orbit.fit.settings import (
+    KIND,
+    OF_FIXES,
+    OF_SIGHTS,
+    PARAMETERS,
+    OrbitFitSettings,
+    ParameterSettings,
+)
+from optnav_cli.orbit.fit.zenith import ZENITH_CSV, ZenithSights, read_zenith
+from optnav_cli.orbit.fit.zenith_fit import denser, fit_zenith
+from optnav_cli.orbit.fit.zenith_output import write_zenith_folder, zenith_summary
+from optnav_cli.output.manifest import write_manifest
+from optnav_cli.output.run_folder import SOLUTION
+
+log = logging.getLogger(__name__)
+
+CSV = ".csv"
+DEFAULT_BODY = "moon"  # of a file without a run.toml beside it
+
+
+@dataclass(frozen=True, eq=False)
+class ZenithInputs:
+    """The sights of some files, in the order of time, and the body that they are about."""
+
+    paths: list[Path]
+    sights: ZenithSights
+    body: Body
+    settings: RunSettings
+
+
+def is_zenith(path: Path) -> bool:
+    """Whether an input of the fit is a zenith.csv, or a folder that has that and no solution."""
+    if path.suffix == CSV:
+        return True
+    return (path / ZENITH_CSV).is_file() and not (path / SOLUTION).exists()
+
+
+def read_zenith_inputs(inputs: Sequence[Path]) -> ZenithInputs:
+    """The sights of files, or of folders that have one.
+
+    Raises UsageError where others are among them, DataError for damaged ones or several bodies.
+    """
+    if not all(map(is_zenith, inputs)):
+        raise UsageError(
+            "zenith distances and fixes are not fitted together; fit the one, and give its "
+            "orbit.oem to the other as a [[prior]]"
+        )
+    paths = [path if path.suffix == CSV else path / ZENITH_CSV for path in inputs]
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise UsageError("a file of zenith distances is named twice; name each once")
+    parts = [read_zenith(path) for path in paths]
+    found = [_settings(path) for path in paths]
+    for path, (_, body) in zip(paths, found, strict=True):
+        if body != found[0][1]:
+            raise DataError(
+                f"{path}: is about {body.name}, {paths[0]} about {found[0][1].name}; fit each body "
+                "by itself"
+            )
+    return ZenithInputs(paths, _joined(parts), found[0][1], found[0][0])
+
+
+def fit_zenith_files(
+    inputs: Sequence[Path],
+    output: Path,
+    settings: OrbitFitSettings,
+    solve: Sequence[str],
+    beside: Path,
+    started: datetime,
+) -> list[str]:
+    """Fit an orbit through zenith distances and write its folder; lines for people.
+
+    Raises DataError, UsageError or ConfigError for what cannot be used, NoSolutionError where the
+    sights leave the orbit open or fit none.
+    """
+    found = read_zenith_inputs(inputs)
+    kernels = [str(path_of(name, beside).resolve()) for name in settings.spice.kernels]
+    ephemeris = motion_of(found.body, [Path(name) for name in kernels])
+    warn_of_unknown_gravity(found.body, settings.forces)
+    settings = _with_solved(settings, solve)
+    ends = float(found.sights.tdb_s[0]), float(found.sights.tdb_s[-1])
+    priors = orbit_priors(settings.prior, ephemeris, beside, ends)
+    motion = ArcMotion(Forces(ephemeris, settings.forces, beside), settings.noise)
+    with replacing_folder(output, KIND) as place:
+        fit = fit_zenith(
+            motion, found.sights, priors, settings.parameter, settings.gate_probability
+        )
+        write_zenith_folder(place, fit, denser(fit, settings.step_s), settings, kernels)
+        write_run_settings(found.settings, place)
+        write_manifest(
+            place,
+            KIND,
+            command="orbit fit",
+            options={"config": msgspec.to_builtins(settings), "solve": list(solve)},
+            inputs={
+                "zenith": [{"path": str(p), "sha256": hash_file(p)} for p in found.paths],
+                "motion": ephemeris.name,
+            },
+            results={"zenith_distances": fit.count, "used": fit.used},
+            started=started,
+        )
+    return zenith_summary(fit)
+
+
+def _settings(path: Path) -> tuple[RunSettings, Body]:
+    beside = path.parent / RUN_TOML
+    if beside.is_file():
+        return read_run_settings(beside)
+    log.warning(
+        "%s: no run.toml stands beside it; the zenith distances are taken for those of the %s",
+        path,
+        DEFAULT_BODY,
+    )
+    return RunSettings(DEFAULT_BODY, "camera_from_body"), load_body(DEFAULT_BODY)
+
+
+def _joined(parts: Sequence[ZenithSights]) -> ZenithSights:
+    if len(parts) == 1:
+        return parts[0]
+    names = list(dict.fromkeys(name for part in parts for name in part.names))
+    star_of = [
+        np.array([names.index(name) for name in part.names], np.int64)[part.star_of]
+        for part in parts
+    ]
+    order = np.argsort(np.concatenate([part.tdb_s for part in parts]), kind="stable")
+    return ZenithSights(
+        np.concatenate([part.tdb_s for part in parts])[order],
+        np.concatenate([part.directions for part in parts])[order],
+        np.concatenate([part.values_rad for part in parts])[order],
+        np.concatenate([part.sigmas_rad for part in parts])[order],
+        np.concatenate(star_of)[order],
+        tuple(names),
+    )
+
+
+def _with_solved(settings: OrbitFitSettings, solve: Sequence[str]) -> OrbitFitSettings:
+    """The settings with what --solve names. Raises UsageError for what belongs to fixes."""
+    parameters = list(settings.parameter)
+    stated = {parameter.name for parameter in parameters}
+    for name in (*PARAMETERS, *OF_SIGHTS):
+        if name in solve and name not in stated:
+            parameters.append(ParameterSettings(name))
+            stated.add(name)
+    if settings.noise.model == "mean" and "acceleration" not in stated:
+        parameters.append(ParameterSettings("acceleration"))
+    for parameter in parameters:
+        if parameter.name in OF_FIXES and parameter.name not in OF_SIGHTS:
+            raise UsageError(
+                f"{parameter.name} belongs to fixes, and zenith distances do not depend on it; "
+                "solve for srp, acceleration or vertical, or fit a run"
+            )
+    return msgspec.structs.replace(settings, parameter=tuple(parameters))

@@ -1,0 +1,178 @@
+"""An arc of zenith distances as one linear problem: nodes at steps of the motion, sights between.
+
+A node for each sight would cost a filter's step each; sights of an interval are carried from the
+node before them in one integration and made into at most as many rows as there are unknowns (QR),
+which say all that they say.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from catalog.arrays import BoolArray, FloatArray, IntArray
+from catalog.geometry.rotations import ARCSEC
+from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement, SmoothedArc
+from optnav_cli.orbit.fit.motion import rnb_of
+from optnav_cli.orbit.fit.problem import SIZES, FitParameter, OrbitProblem, Trajectory
+from optnav_cli.orbit.fit.settings import OF_FIXES
+from optnav_cli.orbit.fit.zenith import ZenithSights, zenith_distances
+
+
+@dataclass(frozen=True, eq=False)
+class SightRows:
+    """All sights about a trajectory: measured less computed (n,), rad, and what it depends on.
+
+    design      (n, 6 + p) derivative of the computed one by the node's state and the parameters
+    considered  (n, q) by what is considered
+    """
+
+    residuals: FloatArray
+    design: FloatArray
+    considered: FloatArray
+
+
+@dataclass(eq=False)
+class ZenithProblem(OrbitProblem):
+    """Sights with the nodes that they are carried from; `between` are the nodes, no fixes."""
+
+    sights: ZenithSights = field(kw_only=True)
+    node_of_sight: IntArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        number = np.searchsorted(self.times, self.sights.tdb_s, "right") - 1
+        self.node_of_sight = np.clip(number, 0, max(len(self.times) - 2, 0))
+
+    @property
+    def measured(self) -> str:
+        """What the orbit goes through, in words."""
+        return "zenith distances"
+
+    @property
+    def sizes(self) -> Mapping[str, int]:
+        """With two numbers for each star, along east and north."""
+        return {**SIZES, "star_catalog": 2 * len(self.sights.names)}
+
+    def part(self, first: int, last: int) -> "ZenithProblem":
+        """The same between two of its nodes."""
+        if (first, last) == (0, len(self.times) - 1):
+            return self
+        ends = float(self.times[first]), float(self.times[last])
+        times = self.sights.tdb_s
+        inside = self.sights.part((times >= ends[0]) & (times <= ends[1]))
+        priors = [p for p in self.priors if ends[0] <= p.tdb_s <= ends[1]]
+        return replace(self, sights=inside, priors=priors, between=self.times[first : last + 1])
+
+    def rows(self, at: Trajectory) -> SightRows:
+        """The sights about a trajectory."""
+        sights, count = self.sights, len(self.sights)
+        forces = [p for p in (*self.estimated, *self.considered) if p.name not in OF_FIXES]
+        names = [p.name for p in forces]
+        motion = self.motion_at(at)
+        states, maps = np.empty((count, 6)), np.empty((count, 6, 6))
+        pushed = np.empty((count, 6, sum(p.size for p in forces)))
+        ends = np.searchsorted(self.node_of_sight, np.arange(len(self.times) + 1))
+        for node in np.unique(self.node_of_sight):
+            here = slice(int(ends[node]), int(ends[node + 1]))
+            start = float(self.times[node])
+            found = motion.partials(at.states[node], start, sights.tdb_s[here], names)
+            states[here], maps[here], pushed[here] = found
+        angles, by_place, by_star = zenith_distances(states[:, :3], sights.directions)
+        width, q = self.width, sum(p.size for p in self.considered)
+        design, considered = np.zeros((count, width)), np.zeros((count, q))
+        design[:, :6] = (by_place[:, None] @ maps[:, :3])[:, 0]
+        column = 0
+        by_forces = (by_place[:, None] @ pushed[:, :3])[:, 0]
+        for p in forces:
+            _put(p, by_forces[:, column : column + p.size], design, considered)
+            column += p.size
+        for p in (*self.estimated, *self.considered):
+            if p.name in ("vertical", "star_catalog"):
+                by = self._by_vertical(states, by_place) if p.name == "vertical" else None
+                by = self._by_stars(by_star) if by is None else by
+                if p.settings.mode == "estimate":
+                    angles = angles + by @ self.value(p, at)
+                _put(p, by, design, considered)
+        return SightRows(sights.values_rad - angles, design, considered)
+
+    def _by_vertical(self, states: FloatArray, by_place: FloatArray) -> FloatArray:
+        """(n, 2) by the error of the vertical forward and across, rad per arc second."""
+        axes = np.stack([rnb_of(state) for state in states])
+        size = np.linalg.norm(states[:, :3], axis=1)[:, None]
+        turned: FloatArray = (axes[:, 1:] @ by_place[:, :, None])[:, :, 0] * size * ARCSEC
+        return turned
+
+    def _by_stars(self, by_star: FloatArray) -> FloatArray:
+        """(n, 2 stars) by where each star is wrongly taken to stand, rad per arc second."""
+        along = (self.sights.star_axes @ by_star[:, :, None])[:, :, 0] * ARCSEC
+        found = np.zeros((len(along), len(self.sights.names), 2))
+        found[np.arange(len(along)), self.sights.star_of] = along
+        return found.reshape(len(along), -1)
+
+    def linearise(
+        self, at: Trajectory, weights: FloatArray, sigmas: FloatArray | None = None
+    ) -> tuple[LinearArc, FloatArray]:
+        """As that of fixes; weights (sights,)."""
+        arc, paths = super().linearise(at, np.empty(0), sigmas)
+        measured = [
+            NodeMeasurement(node, right, design, np.eye(len(right)))
+            for node, design, right in self._whitened(self.rows(at), weights, paths)
+        ]
+        compressed = [
+            _compressed(one)[0] if len(one.residual) > self.width else one for one in measured
+        ]
+        return replace(arc, measurements=[*arc.measurements, *compressed]), paths
+
+    def left_over(self, at: Trajectory, weights: FloatArray) -> float:
+        """What no change of the nodes' states takes away."""
+        return self.remainder(self.rows(at), weights)
+
+    def standardised(
+        self, at: Trajectory, found: SmoothedArc, used: BoolArray
+    ) -> tuple[FloatArray, IntArray, FloatArray]:
+        """As that of fixes; the sights of a star are a series."""
+        sights = self.sights
+        values = self.rows(at).residuals / sights.sigmas_rad
+        return values[used], sights.star_of[used], sights.tdb_s[used]
+
+    def remainder(self, rows: SightRows, weights: FloatArray) -> float:
+        """Of chi-square: what no change of the nodes' states takes away."""
+        paths = np.zeros((len(self.times), self.width, rows.considered.shape[1]))
+        rest = 0.0
+        for node, design, right in self._whitened(rows, weights, paths):
+            if len(right) > self.width:
+                whole = NodeMeasurement(node, right, design, np.eye(len(right)))
+                rest += _compressed(whole)[1]
+        return rest
+
+    def _whitened(
+        self, rows: SightRows, weights: FloatArray, paths: FloatArray
+    ) -> list[tuple[int, FloatArray, FloatArray]]:
+        """Each interval's node, design (m, n) and right sides (m, 1 + q), over their sigmas."""
+        scale = np.sqrt(weights) / self.sights.sigmas_rad
+        found = []
+        for node in np.unique(self.node_of_sight):
+            here = np.flatnonzero((self.node_of_sight == node) & (weights > 0.0))
+            if not len(here):
+                continue
+            design = rows.design[here]
+            more = design @ paths[node] + rows.considered[here]
+            right = np.concatenate([rows.residuals[here, None], more], axis=1)
+            found.append((int(node), design * scale[here, None], right * scale[here, None]))
+        return found
+
+
+def _put(p: FitParameter, columns: FloatArray, design: FloatArray, considered: FloatArray) -> None:
+    if p.settings.mode == "estimate":
+        design[:, 6 + p.place : 6 + p.place + p.size] = columns
+    else:
+        considered[:, p.span] = columns
+
+
+def _compressed(one: NodeMeasurement) -> tuple[NodeMeasurement, float]:
+    """The same in as many rows as unknowns, and the squares of the residual that are left."""
+    q, r = np.linalg.qr(one.design)
+    right = q.T @ one.residual
+    rest = float((one.residual[:, 0] ** 2).sum() - (right[:, 0] ** 2).sum())
+    return NodeMeasurement(one.node, right, r, np.eye(len(r))), rest
