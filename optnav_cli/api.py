@@ -28,13 +28,13 @@ from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.fix import Fix, Method, NoFix, Solution
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import load_picture
-from optnav_cli.navigation.answers import NavigationInputs
-from optnav_cli.navigation.autonomous import Navigator
+from optnav_cli.navigate.answers import NavigationInputs
+from optnav_cli.navigate.autonomous import Navigator
+from optnav_cli.navigate.inputs import open_catalogs, open_field, whole_relief
+from optnav_cli.navigate.job import navigate_folder as navigate_pictures
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.report import write_report
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.inputs import open_catalogs, open_field, whole_relief
-from optnav_cli.runs.navigate_folder import navigate_folder as navigate_pictures
 from optnav_cli.simulation.job import simulate_folder
 
 __all__ = [

@@ -200,8 +200,8 @@ def _in_flight(
 ) -> list[str]:
     from optnav_cli.calibration.settings import CalibrateSettings, load_calibrate_settings
     from optnav_cli.estimation.models.common import Common
+    from optnav_cli.navigate.worker import RunInputs
     from optnav_cli.runs.calibrate_folder import calibrate_folder
-    from optnav_cli.runs.frame_worker import RunInputs
 
     settings = load_calibrate_settings(config) if config else CalibrateSettings()
     announce_compilation()

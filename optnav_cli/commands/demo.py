@@ -61,10 +61,10 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     from catalog.places import claimed, make_folder
     from optnav_cli.evaluation.files import evaluate_run, write_evaluation
     from optnav_cli.evaluation.table import format_table
+    from optnav_cli.navigate.job import navigate_folder
+    from optnav_cli.navigate.worker import RunInputs
     from optnav_cli.output.manifest import write_manifest
     from optnav_cli.report import write_report
-    from optnav_cli.runs.frame_worker import RunInputs
-    from optnav_cli.runs.navigate_folder import navigate_folder
     from optnav_cli.simulation.job import simulate_folder
 
     config = resource("configs/catalogs/tycho.toml")
@@ -152,8 +152,8 @@ def _simulate_ahead(scenario: Path, place: Path) -> None:
 
 def _navigate_ahead(place: Path, catalog: Path) -> None:
     from catalog.progress import SilentProgress
-    from optnav_cli.runs.frame_worker import RunInputs
-    from optnav_cli.runs.navigate_folder import navigate_folder
+    from optnav_cli.navigate.job import navigate_folder
+    from optnav_cli.navigate.worker import RunInputs
 
     given = RunInputs(place / "pictures", [catalog])
     navigate_folder(given, place / "run", SilentProgress(), workers=1)

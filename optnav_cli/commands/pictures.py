@@ -134,9 +134,9 @@ def navigate(
       optnav navigate pictures --relief bundled:moon_gld100_4ppd.tif -o run
     """
     from optnav_cli.control_points.settings import NavigateSettings, load_settings
+    from optnav_cli.navigate.job import navigate_folder
+    from optnav_cli.navigate.worker import RunInputs
     from optnav_cli.output.run_folder import run_lines
-    from optnav_cli.runs.frame_worker import RunInputs
-    from optnav_cli.runs.navigate_folder import navigate_folder
 
     settings = load_settings(config) if config else NavigateSettings()
     announce_compilation()
@@ -340,9 +340,9 @@ def export(run: Path, output: Path) -> None:
       optnav export run -o run.gpkg
     """
     from catalog.files import made_by_optnav
+    from optnav_cli.navigate.gis_layers import export_run
     from optnav_cli.output.run_folder import read_run
     from optnav_cli.report.measured_layers import export_cylinder, export_stars
-    from optnav_cli.report.run_layers import export_run
 
     if made_by_optnav(run, "stars"):
         counts = export_stars(run, output)

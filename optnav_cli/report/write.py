@@ -9,6 +9,7 @@ from catalog.store.reader import Catalog
 from optnav_cli.cylinder.page import CYLINDER_KIND, cylinder_page, cylinder_sheet
 from optnav_cli.hazard.page import hazard_page
 from optnav_cli.hazard.settings import KIND as HAZARD
+from optnav_cli.navigate.page import run_page
 from optnav_cli.orbit.delivery.page import delivery_page, delivery_sheet
 from optnav_cli.orbit.delivery.settings import DELIVERY_KIND
 from optnav_cli.orbit.fit.page import orbit_page, orbit_sheet
@@ -23,7 +24,6 @@ from optnav_cli.report import page, sheet
 from optnav_cli.report.calibration_page import calibration_page, is_calibration
 from optnav_cli.report.catalog_page import catalog_page
 from optnav_cli.report.error_plots import error_sheet
-from optnav_cli.report.run_page import run_page
 from optnav_cli.stars.page import STARS_KIND, stars_page
 
 # Pages and pictures of output folders, by the kind that their manifest states.

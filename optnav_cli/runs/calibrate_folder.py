@@ -30,13 +30,13 @@ from optnav_cli.estimation.models.common import Common, CommonNumber
 from optnav_cli.frames.folder import Folder, read_folder, write_folder
 from optnav_cli.frames.frames import Frame, picture_path
 from optnav_cli.frames.tables import CALIBRATION_RESIDUALS
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.manifest import hash_files, unfinished, write_manifest
 from optnav_cli.output.run_folder import CAMERAS, read_run
 from optnav_cli.output.wording import json_text, table_lines
 from optnav_cli.runs.adjust_runs import adjusted_rows, residual_stages
 from optnav_cli.runs.adjusted_folder import AdjustedRow, StatedResiduals, corrected_camera
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
 
 KIND, STAGE = "calibration", "calibrate"
 RESIDUALS_CSV, CALIBRATION_JSON = "residuals.csv", "calibration.json"

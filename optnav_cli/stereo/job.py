@@ -22,7 +22,7 @@ from optnav_cli.frames.mounts import MountSettings, stereo_pair
 from optnav_cli.frames.picture import frame_picture
 from optnav_cli.frames.run_settings import RUN_TOML
 from optnav_cli.frames.tables import HEIGHTS
-from optnav_cli.navigation.history import SAME_TIME_S
+from optnav_cli.navigate.history import SAME_TIME_S
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.wording import table_lines
 from optnav_cli.stereo.height import StereoHeight, stereo_height

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from optnav_cli.estimation.descent_filter import TRACK
+from optnav_cli.navigate.descent.filter import TRACK
 from tests.bench.timing import in_turn, result, spread, within
 from tests.studies.descent import TIMED_LANDMARKS, filter_update
 

@@ -27,15 +27,15 @@ from optnav_cli.fix import Solution
 from optnav_cli.frames.folder import Folder, read_folder, write_folder
 from optnav_cli.frames.observation import observation_of
 from optnav_cli.frames.picture import Picture, load_picture
-from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
+from optnav_cli.navigate.autonomous import NavigationInputs, Navigator
+from optnav_cli.navigate.inputs import open_field
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import MATCHERS, FrameWorker, RunInputs
 from optnav_cli.outline import method as outline
 from optnav_cli.outline.neighbour import other_body
 from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_png
 from optnav_cli.output.recording import Recording, recorded_image
-from optnav_cli.runs.frame_worker import MATCHERS, FrameWorker, RunInputs
-from optnav_cli.runs.inputs import open_field
-from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.simulation.job import simulate_folder
 from tests.bench.timing import FULL, Spread, best, one_core, result, sized, spread, within
 from tests.studies.apollo import CUBE, PICTURE

@@ -20,8 +20,8 @@ from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from tests.catalog.store.written import write_points
 from tests.optnav_cli.conftest import RoughWorld, pixel_grid
 

@@ -11,8 +11,8 @@ from catalog.progress import SilentProgress
 from optnav_cli import api
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.simulation.job import simulate_folder
 from tests.catalog.pipeline.coarse_tycho import BBOX, CONFIG
 

@@ -16,8 +16,8 @@ from catalog.arrays import ByteArray
 from catalog.config import resource
 from optnav_cli.console import ConsoleProgress
 from optnav_cli.main import cli
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.simulation.job import simulate_folder
 from tests.golden import (
     documents,

@@ -16,11 +16,11 @@ from catalog.config import resource
 from catalog.store.reader import Catalog
 from optnav_cli.evaluation.files import EVALUATION_CSV, read_error_rows
 from optnav_cli.main import cli
+from optnav_cli.navigate.page import read_evaluation
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.report.catalog_maps import POINT_COLOURS, first_reasons, legend_entries, panels
 from optnav_cli.report.page import grouped
 from optnav_cli.report.relief import GRAY, relief
-from optnav_cli.report.run_page import read_evaluation
 from optnav_cli.report.views import bgr_of, blended
 from tests.golden import sketch
 

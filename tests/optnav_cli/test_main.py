@@ -79,7 +79,7 @@ def test_no_heavy_library_is_loaded_before_messages_have_a_place_to_go() -> None
 
 def test_a_worker_loads_no_statistics() -> None:
     """They would take a fourth of the time until its first frame, in each process of a run."""
-    script = "import sys, optnav_cli.runs.frame_worker; print('scipy.stats' in sys.modules)"
+    script = "import sys, optnav_cli.navigate.worker; print('scipy.stats' in sys.modules)"
     result = subprocess.run(
         [sys.executable, "-c", script], cwd=CHECKOUT, capture_output=True, text=True, check=True
     )

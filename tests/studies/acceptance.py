@@ -37,10 +37,10 @@ from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.observation import observation_of
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
+from optnav_cli.navigate.inputs import open_catalogs, open_field
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet, write_sheet
 from optnav_cli.report.svg import Plot, PlotAxis
-from optnav_cli.runs.inputs import open_catalogs, open_field
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sections import MainCamera
 from tests.studies import flights

@@ -15,9 +15,9 @@ from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.archives.isis_cube import read_cube_pose
 from optnav_cli.archives.job import ImportOptions, import_folder
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 
 PICTURE = "data/apollo15/AS15-M-0297_SML.png"

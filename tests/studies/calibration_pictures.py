@@ -22,9 +22,9 @@ from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.truth import read_truth
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.runs.calibrate_folder import Calibration, calibrate_folder
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.passes import Scenario
 from optnav_cli.simulation.scenario import load_scenario

@@ -14,8 +14,8 @@ import numpy as np
 
 from catalog.progress import Progress
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.estimation.descent_filter import DescentFilter
 from optnav_cli.estimation.models.points import Sightings, predict
+from optnav_cli.navigate.descent.filter import DescentFilter
 from tests.studies import descent_flights, descent_measurements, flights
 from tests.studies.descent_flights import LOW_M, FlownFrame, Way
 from tests.studies.descent_measurements import Formulation

@@ -24,12 +24,11 @@ from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.control_points.expectation import FrameContext
 from optnav_cli.control_points.picture_pyramid import PicturePyramid
-from optnav_cli.estimation.descent_filter import GATE
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.frames.observation import observation_of
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.navigation.descent_errors import (
+from optnav_cli.navigate.descent.errors import (
     FILE,
     SCALES,
     DescentErrorSizes,
@@ -39,16 +38,17 @@ from optnav_cli.navigation.descent_errors import (
     shipped_sizes,
     window_ground,
 )
-from optnav_cli.navigation.descent_state import sunward_shift_px
-from optnav_cli.navigation.descent_windows import (
+from optnav_cli.navigate.descent.filter import GATE
+from optnav_cli.navigate.descent.state import sunward_shift_px
+from optnav_cli.navigate.descent.windows import (
     WindowField,
     WindowKey,
     choose_windows,
     match_window,
     overlap,
 )
-from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
-from optnav_cli.runs.inputs import open_ground
+from optnav_cli.navigate.inputs import open_ground
+from optnav_cli.navigate.worker import FrameWorker, RunInputs
 from tests.studies import likelihood
 from tests.studies.descent_flights import Way, catalog_of, pictures_of
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns

@@ -24,8 +24,8 @@ from optnav_cli.fix import NoFix, Solution
 from optnav_cli.frames.picture import frame_picture
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.frames.truth import Truth, read_truth
+from optnav_cli.navigate.worker import FrameWorker, RunInputs
 from optnav_cli.reasons import Reason, ReasonCode
-from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from optnav_cli.simulation import descent_model
 from optnav_cli.simulation.descent import Descent, track_errors
 from optnav_cli.simulation.scenario import load_scenario

@@ -14,13 +14,13 @@ from catalog.arrays import BoolArray, FloatArray
 from catalog.geometry.rotations import ARCSEC
 from catalog.geometry.vectors import squared_distance
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.descent_filter import (
+from optnav_cli.estimation.models.points import Pose, Sightings, predict
+from optnav_cli.navigate.descent.filter import (
     POSITION,
     TRACK,
     DescentFilter,
     TrackErrors,
 )
-from optnav_cli.estimation.models.points import Pose, Sightings, predict
 
 RADIUS_M = 1.7374e6
 FROM_M, TO_M, FRAMES, SECONDS = 6.5e3, 2.0e3, 20, 80.0

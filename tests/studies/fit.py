@@ -44,8 +44,8 @@ from optnav_cli.estimation.robust import variance_factor
 from optnav_cli.frames.observation import Observation, observation_of
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import Truth, read_truth
-from optnav_cli.navigation.answers import NavigationInputs
-from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
+from optnav_cli.navigate.answers import NavigationInputs
+from optnav_cli.navigate.worker import FrameWorker, RunInputs
 from tests.studies import albedo_fit, descent_fit, flights, horizon_fit, likelihood, navigation
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 

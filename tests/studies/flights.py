@@ -27,8 +27,8 @@ from catalog.terrain.error_model import StatedError
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder, write_folder
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.simulation import descent_model
 from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy

@@ -27,9 +27,9 @@ from catalog.terrain.error_model import StatedError
 from optnav_cli.evaluation.evaluation import Evaluation, pool
 from optnav_cli.evaluation.figures import Figures, FrameError, figures_of, none_solved
 from optnav_cli.evaluation.files import evaluate_run
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.run_folder import SOLUTION
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
 from tests.studies import drawn_mare, flights
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 

@@ -25,11 +25,11 @@ from optnav_cli.archives.job import ImportOptions, import_folder
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.run_folder import CAMERAS, RunFolder, read_run
 from optnav_cli.runs.adjust_runs import LabelScatter, adjust_runs
 from optnav_cli.runs.adjusted_folder import AdjustedRuns
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
 from tests.studies import apollo, flights
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 

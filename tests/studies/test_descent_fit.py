@@ -6,8 +6,8 @@ import pytest
 from catalog.arrays import FloatArray
 from catalog.config import resource, toml_text
 from catalog.geometry.latlon import body_from_local
-from optnav_cli.navigation.descent_errors import FILE, WindowGround, shipped_sizes
-from optnav_cli.navigation.descent_windows import STEP, WindowKey, overlap
+from optnav_cli.navigate.descent.errors import FILE, WindowGround, shipped_sizes
+from optnav_cli.navigate.descent.windows import STEP, WindowKey, overlap
 from tests.studies import descent_fit
 from tests.studies.descent_fit import FlightErrors
 

@@ -16,7 +16,7 @@ from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.truth import Truth, write_truth
 from optnav_cli.main import run
 from tests.catalog.pipeline.coarse_tycho import BBOX, CONFIG
-from tests.optnav_cli.runs.test_navigate_folder import UTC, folder_with, good_frame, write_rough
+from tests.optnav_cli.navigate.test_job import UTC, folder_with, good_frame, write_rough
 from tests.optnav_cli.simulation.test_simulation import CAMERA, SMALL
 
 Event = dict[str, Any]

@@ -17,10 +17,10 @@ from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.points import places_of
 from optnav_cli.frames.run_settings import PointsSettings
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.reasons import ReasonCode
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
 from tests.optnav_cli.made_picks import rows_of, scene, write_picked
 
 LAT, LON, HEIGHT, SIGMA_PX, NAME = 3, 4, 5, 6, 8

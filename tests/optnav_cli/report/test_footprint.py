@@ -8,7 +8,7 @@ from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_l
 from catalog.geometry.map_pieces import area_pieces
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.report.run_layers import footprint_of
+from optnav_cli.navigate.gis_layers import footprint_of
 from tests.catalog.geometry.test_map_pieces import inside
 
 MOON = np.array([1737400.0] * 3)

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from catalog.errors import DataError, OutputError
 from catalog.files import MADE_BY
 from optnav_cli.evaluation.files import evaluate_run, write_evaluation
+from optnav_cli.navigate.page import read_evaluation
 from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_path, overlay_png
 from optnav_cli.output.run_folder import read_run
@@ -24,7 +25,6 @@ from optnav_cli.reasons import ReasonCode
 from optnav_cli.report import write_report
 from optnav_cli.report.error_plots import frames_of
 from optnav_cli.report.ground_map import ground_plot
-from optnav_cli.report.run_page import read_evaluation
 from tests.optnav_cli.output.approach import write_approach
 from tests.optnav_cli.report.browser import Browser
 from tests.optnav_cli.report.pages import a_catalog, report_of

@@ -17,7 +17,7 @@ from optnav_cli.estimation.models.points import Pose
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
-from tests.optnav_cli.runs.test_navigate_folder import catalog_path  # noqa: F401, a fixture
+from tests.optnav_cli.navigate.test_job import catalog_path  # noqa: F401, a fixture
 
 TDB_S = 8e8
 STEP_S, SPEED = 4.0, 8.4e-4  # between frames; rad/s of the orbit

@@ -22,12 +22,12 @@ from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
-from optnav_cli.runs import frame_worker
-from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
+from optnav_cli.navigate import worker as frame_worker
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import FrameWorker, RunInputs
 from tests.catalog.jobs.dask_cluster import cluster_of, needs_distributed
 from tests.catalog.pipeline.killing import wait_for_the_end_of
-from tests.optnav_cli.runs.test_navigate_folder import write_rough
+from tests.optnav_cli.navigate.test_job import write_rough
 
 MOON = load_body("moon")
 MOTION = AnalyticEphemeris(MOON)

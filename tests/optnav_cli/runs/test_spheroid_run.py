@@ -14,12 +14,12 @@ from catalog.geometry.latlon import latlon_from_xyz
 from catalog.progress import SilentProgress
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.run_settings import FileAttitude
+from optnav_cli.navigate.gis_layers import export_run
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.tables import read_solutions, write_solutions
 from optnav_cli.report.ground_map import ground_plot
-from optnav_cli.report.run_layers import export_run
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
 from tests.optnav_cli.made_picks import rows_of, scene, write_picked
 from tests.optnav_cli.rows import solved
 

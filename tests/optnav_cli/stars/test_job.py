@@ -9,11 +9,11 @@ import pytest
 from catalog.errors import DataError, NothingToDoError
 from catalog.geometry.rotations import ARCSEC, rotation_from_quaternion
 from catalog.progress import SilentProgress
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.report import write_report
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.stars.job import stars_folder
 from tests.optnav_cli.made_skies import CAMERA, UTC, drawn_sky, sky_folder, turned
 

@@ -13,10 +13,10 @@ from optnav_cli.frames.folder import Folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.orbit_tables import ZENITH
 from optnav_cli.frames.run_settings import RunSettings
+from optnav_cli.navigate.zenith_file import zenith_rows
 from optnav_cli.orbit.fit.zenith import read_zenith
 from optnav_cli.orbit.fit.zenith_fit import fit_zenith
 from optnav_cli.reasons import NO_REASON
-from optnav_cli.runs.zenith_file import zenith_rows
 from tests.optnav_cli.orbit.fit.test_zenith import GATE, MOTION
 from tests.optnav_cli.orbit.flights import EPHEMERIS, START_S, truth
 

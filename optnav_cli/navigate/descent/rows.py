@@ -11,9 +11,9 @@ from optnav_cli.control_points.expectation import FrameContext
 from optnav_cli.control_points.point_match import PointMatch
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import MatchKind, MatchRow
-from optnav_cli.matching.landmark import LandmarkMatch
-from optnav_cli.navigation.descent_windows import SoughtWindow, WindowKey
-from optnav_cli.navigation.relative_landmarks import SoughtLandmark
+from optnav_cli.navigate.descent.landmark import LandmarkMatch
+from optnav_cli.navigate.descent.relative_landmarks import SoughtLandmark
+from optnav_cli.navigate.descent.windows import SoughtWindow, WindowKey
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 OUTLIER = Reason(ReasonCode.OUTLIER, "disagrees with the others")

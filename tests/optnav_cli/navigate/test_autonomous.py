@@ -27,9 +27,9 @@ from optnav_cli.fix import (
 )
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation import answers
-from optnav_cli.navigation.answers import NavigationInputs
-from optnav_cli.navigation.autonomous import Navigator
+from optnav_cli.navigate import answers
+from optnav_cli.navigate.answers import NavigationInputs
+from optnav_cli.navigate.autonomous import Navigator
 from optnav_cli.reasons import Reason, ReasonCode
 
 MOON = load_body("moon")

@@ -16,10 +16,9 @@ from catalog.geometry.rotations import ARCSEC
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.point_match import PointMatch
-from optnav_cli.estimation.descent_filter import GATE, DescentFilter, TrackErrors, Update
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.frames.run_settings import InertialSettings
-from optnav_cli.navigation.descent_errors import (
+from optnav_cli.navigate.descent.errors import (
     DescentErrorSizes,
     WindowError,
     WindowSpread,
@@ -29,7 +28,8 @@ from optnav_cli.navigation.descent_errors import (
     shipped_sizes,
     tied_errors,
 )
-from optnav_cli.navigation.descent_windows import Window, WindowKey
+from optnav_cli.navigate.descent.filter import GATE, DescentFilter, TrackErrors, Update
+from optnav_cli.navigate.descent.windows import Window, WindowKey
 
 MIN_SUN = np.radians(8.0)  # below it shadows fill the picture and the cotangent runs away
 

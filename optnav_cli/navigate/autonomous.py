@@ -26,8 +26,8 @@ from optnav_cli.fix import Evidence, Fix, Method, NoFix, PositionPrior, Solution
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.observation import FROM_FILE, Observation, observation_of
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation.answers import Answers, FrameMethods, NavigationInputs
-from optnav_cli.navigation.history import History
+from optnav_cli.navigate.answers import Answers, FrameMethods, NavigationInputs
+from optnav_cli.navigate.history import History
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # So many control points in view, lit and whole, are never all missed where the prior is right: but

@@ -39,18 +39,18 @@ from optnav_cli.frames.observation import FROM_FILE
 from optnav_cli.frames.picture import LaterPicture, Picture, PictureSizeError, frame_picture
 from optnav_cli.frames.points import POINTS_CSV, PickedPoint
 from optnav_cli.frames.run_settings import RUN_TOML, InertialSettings
-from optnav_cli.navigation.answers import Answers, NavigationInputs, Outcome
-from optnav_cli.navigation.autonomous import Navigator
-from optnav_cli.navigation.descent import DescentNavigator
-from optnav_cli.navigation.history import NeedsPastError, UnseenPast
+from optnav_cli.navigate.answers import Answers, NavigationInputs, Outcome
+from optnav_cli.navigate.autonomous import Navigator
+from optnav_cli.navigate.descent.navigator import DescentNavigator
+from optnav_cli.navigate.history import NeedsPastError, UnseenPast
+from optnav_cli.navigate.inputs import open_catalogs, open_field, open_ground, whole_relief
+from optnav_cli.navigate.orbit_prior import orbit_inputs, with_orbit
 from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_png, patch_outlines
 from optnav_cli.output.recording import recorded_image
 from optnav_cli.output.run_folder import FRAMES
 from optnav_cli.points.method import PickedFrames
 from optnav_cli.reasons import Reason, ReasonCode
-from optnav_cli.runs.inputs import open_catalogs, open_field, open_ground, whole_relief
-from optnav_cli.runs.orbit_prior import orbit_inputs, with_orbit
 from optnav_cli.stars.sky import SkyView, StarSight, star_sight
 
 STARS = "stars"  # the question of a frame's answers

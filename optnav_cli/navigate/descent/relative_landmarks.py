@@ -11,7 +11,7 @@ from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.geometry.vectors import unit
 from optnav_cli.control_points.expectation import FrameContext
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.matching.landmark import (
+from optnav_cli.navigate.descent.landmark import (
     MARGIN_NODES,
     NODE_PX,
     PATCH_NODES,
@@ -21,8 +21,8 @@ from optnav_cli.matching.landmark import (
     cut_patch,
     match_patch,
 )
-from optnav_cli.navigation.descent_state import JointState
-from optnav_cli.navigation.descent_windows import WindowField
+from optnav_cli.navigate.descent.state import JointState
+from optnav_cli.navigate.descent.windows import WindowField
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 SQUARES, MAX_LANDMARKS = 7, 60

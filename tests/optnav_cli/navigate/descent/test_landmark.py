@@ -9,7 +9,7 @@ from catalog.arrays import Float32Array
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.matching.landmark import (
+from optnav_cli.navigate.descent.landmark import (
     choose_pixels,
     cut_patch,
     hessian_determinant,

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from catalog.arrays import FloatArray
-from optnav_cli.estimation.descent_filter import TRACK, TrackErrors
-from optnav_cli.navigation.descent_errors import WindowError
-from optnav_cli.navigation.descent_state import JointState
-from optnav_cli.navigation.descent_windows import STEP, WindowKey, overlap
+from optnav_cli.navigate.descent.errors import WindowError
+from optnav_cli.navigate.descent.filter import TRACK, TrackErrors
+from optnav_cli.navigate.descent.state import JointState
+from optnav_cli.navigate.descent.windows import STEP, WindowKey, overlap
 
 COMMON_SHARE = 0.15
 WINDOWS = TRACK + 3  # what windows of a level have in common stands before them

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.estimation.descent_filter import TRACK, DescentFilter, TrackErrors
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
+from optnav_cli.navigate.descent.filter import TRACK, DescentFilter, TrackErrors
 from tests.studies.descent_measurements import Formulation, fly
 
 CAMERA = preset_camera("tsnn2_wide")

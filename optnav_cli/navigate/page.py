@@ -19,12 +19,12 @@ from optnav_cli.evaluation.figures import method_words
 from optnav_cli.evaluation.files import EVALUATION_JSON
 from optnav_cli.fix import Solution
 from optnav_cli.frames.tables import COMMON_NUMBERS
+from optnav_cli.navigate.descent.plots import descent_plots, is_descent
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.run_folder import COMMON_CSV, COMMON_JSON, RunFolder, read_run
 from optnav_cli.output.tables import fixed
 from optnav_cli.points.plots import is_picked, picked_plots
 from optnav_cli.report import page as html
-from optnav_cli.report.descent_plots import descent_plots, is_descent
 from optnav_cli.report.error_plots import error_plots
 from optnav_cli.report.ground_map import ground_plot
 from optnav_cli.report.pictures import pictures_section

@@ -32,9 +32,21 @@ from optnav_cli.fix import MatchRow, Method, Solution
 from optnav_cli.frames.orbit_tables import ZENITH
 from optnav_cli.frames.points import POINTS_CSV
 from optnav_cli.frames.run_settings import RUN_TOML
-from optnav_cli.navigation.autonomous import Navigator
-from optnav_cli.navigation.descent import DescentMemory, DescentNavigator
-from optnav_cli.navigation.history import SAME_TIME_S
+from optnav_cli.navigate.autonomous import Navigator
+from optnav_cli.navigate.descent.navigator import DescentMemory, DescentNavigator
+from optnav_cli.navigate.history import SAME_TIME_S
+from optnav_cli.navigate.orbit_prior import orbit_inputs
+from optnav_cli.navigate.worker import (
+    FrameRecord,
+    FrameTask,
+    FrameWorker,
+    RunInputs,
+    in_order,
+    look_at,
+    unpacked_row,
+    unseen_record,
+)
+from optnav_cli.navigate.zenith_file import zenith_rows
 from optnav_cli.orbit.fit.zenith import ZENITH_CSV
 from optnav_cli.output.manifest import hash_files, is_finished, unfinished, versions, write_manifest
 from optnav_cli.output.overlay import overlay_path
@@ -52,18 +64,6 @@ from optnav_cli.output.run_folder import (
 )
 from optnav_cli.output.tables import LandmarkRow, write_landmarks, write_matches, write_solutions
 from optnav_cli.reasons import ReasonCode
-from optnav_cli.runs.frame_worker import (
-    FrameRecord,
-    FrameTask,
-    FrameWorker,
-    RunInputs,
-    in_order,
-    look_at,
-    unpacked_row,
-    unseen_record,
-)
-from optnav_cli.runs.orbit_prior import orbit_inputs
-from optnav_cli.runs.zenith_file import zenith_rows
 
 log = logging.getLogger(__name__)
 

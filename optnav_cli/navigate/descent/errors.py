@@ -21,7 +21,7 @@ from catalog.arrays import FloatArray
 from catalog.config import Positive, load_toml, resource
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from optnav_cli.control_points.point_match import PointMatch
-from optnav_cli.navigation.descent_windows import SIDE, Window, WindowKey, overlap
+from optnav_cli.navigate.descent.windows import SIDE, Window, WindowKey, overlap
 
 FILE = "configs/models/descent.toml"
 Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from optnav_cli.navigation.descent_errors import (
+from optnav_cli.navigate.descent.errors import (
     SCALES,
     WindowGround,
     WindowSpread,
     shipped_sizes,
     tied_errors,
 )
-from optnav_cli.navigation.descent_windows import STEP, WindowKey
+from optnav_cli.navigate.descent.windows import STEP, WindowKey
 
 SIZES = shipped_sizes()
 

@@ -28,11 +28,11 @@ from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.navigation import descent
+from optnav_cli.navigate.descent import navigator as descent
+from optnav_cli.navigate.worker import FrameWorker, RunInputs
 from optnav_cli.output.run_folder import RECORDING, read_run
 from optnav_cli.output.tables import read_matches
 from optnav_cli.reasons import NO_REASON, ReasonCode
-from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from optnav_cli.simulation.descent import Descent, DescentSettings
 from optnav_cli.simulation.passes import SunSettings
 from optnav_cli.simulation.sections import DetailSettings, GlobeSettings, MainCamera

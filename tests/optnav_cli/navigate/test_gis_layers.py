@@ -21,8 +21,8 @@ from catalog.store.geopackage import (
     style_qml,
 )
 from optnav_cli.main import run as optnav
+from optnav_cli.navigate.gis_layers import export_run, footprint_of
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.report.run_layers import export_run, footprint_of
 from tests.catalog.geometry.test_map_pieces import inside
 from tests.optnav_cli.output.approach import write_approach
 from tests.optnav_cli.report.test_footprint import BAR, FISHEYE, MOON, NARROW, WIDE, looking

@@ -26,15 +26,15 @@ from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
+from optnav_cli.navigate.inputs import open_field
+from optnav_cli.navigate.job import navigate_folder
+from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.orbit.fit.job import fit_runs
 from optnav_cli.orbit.fit.settings import NoiseSettings, OrbitFitSettings
 from optnav_cli.output import overlay
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.tables import read_matches
 from optnav_cli.reasons import ReasonCode
-from optnav_cli.runs.frame_worker import RunInputs
-from optnav_cli.runs.inputs import open_field
-from optnav_cli.runs.navigate_folder import navigate_folder
 from tests.catalog.store.written import write_points
 from tests.optnav_cli.orbit.flights import fixes_of
 from tests.optnav_cli.orbit.flights import write_run as write_fixes

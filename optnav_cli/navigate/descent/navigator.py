@@ -2,7 +2,7 @@
 
 Each frame is matched with windows of the terrain model, sought where the track, corrected by the
 frames before, puts them. Where the picture shows ground without a window, landmarks carry on. All
-that a frame shows enters one update of the joint filter (`estimation/descent_filter.py`).
+that a frame shows enters one update of the joint filter (`navigate/descent/filter.py`).
 """
 
 from collections.abc import Sequence
@@ -17,18 +17,19 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.expectation import FrameContext
 from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.picture_pyramid import PicturePyramid
-from optnav_cli.estimation.descent_filter import GATE
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.fix import Evidence, Fix, MatchKind, Method, NoFix, PositionPrior, Solution
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.observation import observation_of
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.run_settings import InertialSettings
-from optnav_cli.navigation.answers import Answers, FrameMethods, NavigationInputs
-from optnav_cli.navigation.descent_errors import SCALES, WindowError, WindowSpread, window_ground
-from optnav_cli.navigation.descent_rows import match_rows
-from optnav_cli.navigation.descent_state import JointState, Sighting, track_sigmas
-from optnav_cli.navigation.descent_windows import (
+from optnav_cli.navigate.answers import Answers, FrameMethods, NavigationInputs
+from optnav_cli.navigate.descent.errors import SCALES, WindowError, WindowSpread, window_ground
+from optnav_cli.navigate.descent.filter import GATE
+from optnav_cli.navigate.descent.relative_landmarks import Landmark, LandmarkTracks, SoughtLandmark
+from optnav_cli.navigate.descent.rows import match_rows
+from optnav_cli.navigate.descent.state import JointState, Sighting, track_sigmas
+from optnav_cli.navigate.descent.windows import (
     MAX_SEARCH_NODES,
     OVERSAMPLED,
     SoughtWindow,
@@ -38,7 +39,6 @@ from optnav_cli.navigation.descent_windows import (
     match_window,
     view_of,
 )
-from optnav_cli.navigation.relative_landmarks import Landmark, LandmarkTracks, SoughtLandmark
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # A wider search than so many nodes is repeated about its own result, so that templates fit.

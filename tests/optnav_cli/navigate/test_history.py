@@ -5,7 +5,7 @@ import numpy as np
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from optnav_cli.fix import Fix, Method
-from optnav_cli.navigation.history import History
+from optnav_cli.navigate.history import History
 
 START_S = 8.2e8
 FAR_M = np.array([1.0e8, 0.0, 0.0])

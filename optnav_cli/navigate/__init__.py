@@ -1,0 +1,1 @@
+"""Navigation of a folder of pictures: choice of method, workers, page."""

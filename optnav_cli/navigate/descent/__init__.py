@@ -1,0 +1,1 @@
+"""Descent: windows of the model and landmarks along an inertial track."""

@@ -1,1 +1,0 @@
-"""Methods that turn pictures into positions, one file each."""
