@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from catalog.arrays import FloatArray
-from optnav_cli.estimation.calibration_model import FrameMotion
+from optnav_cli.calibration.model import FrameMotion
 
 MAX_GAP_S = 120.0  # between neighbours: beyond, a parabola errs by metres a second
 

@@ -170,9 +170,9 @@ def _by_grids(
 ) -> list[str]:
     """Calibrate by grids of dots; `given` are the other options, OF_A_GRID among them."""
     from optnav_cli.calibration.grid_calibration import GridDistance
+    from optnav_cli.calibration.grid_job import GridInputs, calibrate_grid
     from optnav_cli.camera.camera_file import is_plain_name
     from optnav_cli.estimation.models.common import Common
-    from optnav_cli.runs.calibrate_grid import GridInputs, calibrate_grid
 
     name, distance_mm, error_mm = given["name"], given["distance_mm"], given["error_mm"]
     if name is not None and not is_plain_name(name):
@@ -198,10 +198,10 @@ def _in_flight(
     workers: int | None,
     **_: Any,
 ) -> list[str]:
+    from optnav_cli.calibration.job import calibrate_folder
     from optnav_cli.calibration.settings import CalibrateSettings, load_calibrate_settings
     from optnav_cli.estimation.models.common import Common
     from optnav_cli.navigate.worker import RunInputs
-    from optnav_cli.runs.calibrate_folder import calibrate_folder
 
     settings = load_calibrate_settings(config) if config else CalibrateSettings()
     announce_compilation()

@@ -454,8 +454,8 @@ def adjust(
       optnav adjust run --position-sigma-m 60 --attitude-sigma-arcsec 60 -o adjusted
       optnav adjust run-1 run-2 --solve body_rotation,boresight -o adjusted
     """
+    from optnav_cli.calibration.adjust_job import LabelScatter, adjust_runs
     from optnav_cli.estimation.models.common import Common
-    from optnav_cli.runs.adjust_runs import LabelScatter, adjust_runs
 
     kinds = [kind for kind in Common if kind.value in solve]
     found = adjust_runs(runs, output, kinds, LabelScatter(**scatter))

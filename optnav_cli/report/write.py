@@ -6,6 +6,7 @@ from catalog.errors import DataError
 from catalog.files import check_file, made_by_optnav, replacing_file, starts_with
 from catalog.progress import logged_stage
 from catalog.store.reader import Catalog
+from optnav_cli.calibration.page import calibration_page, is_calibration
 from optnav_cli.cylinder.page import CYLINDER_KIND, cylinder_page, cylinder_sheet
 from optnav_cli.hazard.page import hazard_page
 from optnav_cli.hazard.settings import KIND as HAZARD
@@ -21,7 +22,6 @@ from optnav_cli.orbit.qso.settings import QSO_KIND
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.points.plots import is_picked, picked_sheet
 from optnav_cli.report import page, sheet
-from optnav_cli.report.calibration_page import calibration_page, is_calibration
 from optnav_cli.report.catalog_page import catalog_page
 from optnav_cli.report.error_plots import error_sheet
 from optnav_cli.stars.page import STARS_KIND, stars_page

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from optnav_cli.calibration.adjustment import adjust
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.estimation.adjustment import adjust
 from optnav_cli.stereo.height import stereo_height
 from tests.bench.timing import in_turn, result, sized, spread, within
 from tests.optnav_cli.stereo.pairs import DOWN, picture, rig

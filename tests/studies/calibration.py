@@ -15,9 +15,9 @@ from catalog.geometry.rotations import ARCSEC
 from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.store.reader import Catalog
+from optnav_cli.calibration.adjustment import Adjustment, adjust
 from optnav_cli.calibration.separability import not_told_apart
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.estimation.adjustment import Adjustment, adjust
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.evaluation.figures import figures_of, none_solved
 from tests.studies import flights

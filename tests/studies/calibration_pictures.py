@@ -12,6 +12,7 @@ from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
+from optnav_cli.calibration.job import Calibration, calibrate_folder
 from optnav_cli.calibration.motion import frame_motions
 from optnav_cli.calibration.settings import CalibrateSettings
 from optnav_cli.camera.camera import Camera
@@ -24,7 +25,6 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs
-from optnav_cli.runs.calibrate_folder import Calibration, calibrate_folder
 from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.passes import Scenario
 from optnav_cli.simulation.scenario import load_scenario

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.geometry.rotations import ARCSEC
+from optnav_cli.calibration.adjustment import AdjustedFrame
+from optnav_cli.calibration.model import ground_covariances
 from optnav_cli.calibration.motion import frame_motions
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.adjustment import AdjustedFrame
-from optnav_cli.estimation.calibration_model import ground_covariances
 from optnav_cli.estimation.models.common import Common, CommonState, common_numbers
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
 

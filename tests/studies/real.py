@@ -22,14 +22,14 @@ from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.archives.job import ImportOptions, import_folder
+from optnav_cli.calibration.adjust_job import LabelScatter, adjust_runs
+from optnav_cli.calibration.adjusted_folder import AdjustedRuns
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.run_folder import CAMERAS, RunFolder, read_run
-from optnav_cli.runs.adjust_runs import LabelScatter, adjust_runs
-from optnav_cli.runs.adjusted_folder import AdjustedRuns
 from tests.studies import apollo, flights
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 

@@ -10,7 +10,7 @@ from catalog.geometry.rotations import ARCSEC
 from optnav_cli.fix import Fix, Method
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.truth import Truth
-from tests.optnav_cli.runs.test_adjust_runs import write_run
+from tests.optnav_cli.calibration.test_adjust_job import write_run
 from tests.studies.comet import (
     CASES,
     TURNED_DEG,

@@ -8,10 +8,10 @@ import pytest
 from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import SilentProgress
+from optnav_cli.calibration.adjust_job import adjust_runs
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.runs.adjust_runs import adjust_runs
-from tests.optnav_cli.runs.test_adjust_runs import write_run
+from tests.optnav_cli.calibration.test_adjust_job import write_run
 from tests.studies import real
 from tests.studies.real import KINDS, SETS, SetResult, report, run
 

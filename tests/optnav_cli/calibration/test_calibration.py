@@ -8,15 +8,15 @@ import pytest
 
 from catalog.errors import NothingToDoError
 from catalog.geometry.rotations import ARCSEC
+from optnav_cli.calibration import adjustment
+from optnav_cli.calibration.adjustment import AdjustedFrame, adjust, residuals_from
+from optnav_cli.calibration.job import check_points
 from optnav_cli.calibration.motion import frame_motions
 from optnav_cli.calibration.separability import not_told_apart, tied_pairs
 from optnav_cli.calibration.settings import CalibrateSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera
-from optnav_cli.estimation import adjustment
-from optnav_cli.estimation.adjustment import AdjustedFrame, adjust, residuals_from
 from optnav_cli.estimation.models.common import Common, CommonState
-from optnav_cli.runs.calibrate_folder import check_points
 from tests.studies.calibration_routes import KINDS, OFF, Route, simulated_route
 
 UNK = Camera("unk", "pinhole", 2048, 2048, 4183.87, (1023.5, 1023.5))

@@ -8,6 +8,7 @@ import pytest
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
+from optnav_cli.calibration.dots import find_dots, find_grid
 from optnav_cli.calibration.grid_calibration import (
     GridCalibration,
     GridDistance,
@@ -19,7 +20,6 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.main import run
-from optnav_cli.measurements.calibration_grid import find_dots, find_grid
 from tests.optnav_cli.made_grids import drawn_grid
 
 LENS = Camera("lab", "pinhole", 320, 240, 450.0, (162.0, 118.0), "brown", (-0.2, 0.05, 0, 0, 0))

@@ -20,12 +20,14 @@ from catalog.files import hash_file, replacing_folder
 from catalog.geometry.rotations import ARCSEC
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
+from optnav_cli.calibration.adjust_job import adjusted_rows, residual_stages
+from optnav_cli.calibration.adjusted_folder import AdjustedRow, StatedResiduals, corrected_camera
+from optnav_cli.calibration.adjustment import AdjustedFrame, Adjustment, adjust
 from optnav_cli.calibration.motion import frame_motions
 from optnav_cli.calibration.separability import Direction, not_told_apart, tied_pairs
 from optnav_cli.calibration.settings import CalibrateSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import write_camera
-from optnav_cli.estimation.adjustment import AdjustedFrame, Adjustment, adjust
 from optnav_cli.estimation.models.common import Common, CommonNumber
 from optnav_cli.frames.folder import Folder, read_folder, write_folder
 from optnav_cli.frames.frames import Frame, picture_path
@@ -35,8 +37,6 @@ from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.manifest import hash_files, unfinished, write_manifest
 from optnav_cli.output.run_folder import CAMERAS, read_run
 from optnav_cli.output.wording import json_text, table_lines
-from optnav_cli.runs.adjust_runs import adjusted_rows, residual_stages
-from optnav_cli.runs.adjusted_folder import AdjustedRow, StatedResiduals, corrected_camera
 
 KIND, STAGE = "calibration", "calibrate"
 RESIDUALS_CSV, CALIBRATION_JSON = "residuals.csv", "calibration.json"

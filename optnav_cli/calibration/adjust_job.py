@@ -14,8 +14,14 @@ from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.files import MANIFEST, replacing_folder
 from catalog.geometry.rotations import ARCSEC
 from catalog.places import check_apart
-from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.adjustment import (
+from optnav_cli.calibration.adjusted_folder import (
+    MIN_MATCHES,
+    AdjustedRow,
+    AdjustedRuns,
+    StatedResiduals,
+    write_adjusted,
+)
+from optnav_cli.calibration.adjustment import (
     AdjustedFrame,
     Adjustment,
     adjust,
@@ -23,6 +29,7 @@ from optnav_cli.estimation.adjustment import (
     shared_errors_m2,
     stated_pose,
 )
+from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.common import (
     OF_THE_CATALOG,
     Common,
@@ -44,13 +51,6 @@ from optnav_cli.output.run_folder import (
     read_run,
 )
 from optnav_cli.reasons import ReasonCode
-from optnav_cli.runs.adjusted_folder import (
-    MIN_MATCHES,
-    AdjustedRow,
-    AdjustedRuns,
-    StatedResiduals,
-    write_adjusted,
-)
 
 KIND = "adjusted run"
 MIN_SIGMA_PX = 0.02  # of a match, whatever the residuals say

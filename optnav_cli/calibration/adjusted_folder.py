@@ -14,13 +14,13 @@ from catalog.arrays import FloatArray
 from catalog.bodies.body import CatalogFrame, is_body_file
 from catalog.config import resource
 from catalog.geometry.rotations import ARCSEC
-from optnav_cli.camera.camera import Camera
-from optnav_cli.camera.camera_file import write_camera
-from optnav_cli.estimation.adjustment import (
+from optnav_cli.calibration.adjustment import (
     AdjustedFrame,
     Adjustment,
     FrameResult,
 )
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.estimation.models.common import (
     OF_THE_CATALOG,
     Common,

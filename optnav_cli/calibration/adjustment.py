@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray, IntArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import ARCSEC, cross_matrix
-from optnav_cli.estimation.calibration_model import (
+from optnav_cli.calibration.model import (
     FrameMotion,
     clustered_excess,
     lens_columns,

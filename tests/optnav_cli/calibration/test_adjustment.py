@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import ARCSEC
+from optnav_cli.calibration.adjustment import AdjustedFrame, adjust, shared_errors_m2
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.adjustment import AdjustedFrame, adjust, shared_errors_m2
 from optnav_cli.estimation.models.common import Common, CommonState, common_numbers
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.estimation.resection import resect_robustly

@@ -13,23 +13,23 @@ from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.files import hash_file, replacing_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
+from optnav_cli.calibration.dots import GridDots, Pattern, find_grid
 from optnav_cli.calibration.grid_calibration import (
     GridCalibration,
     GridDistance,
     GridView,
     calibrate_by_grids,
 )
+from optnav_cli.calibration.job import CALIBRATION_JSON, KIND, RESIDUALS_CSV, STAGE
 from optnav_cli.calibration.separability import not_told_apart, tied_pairs
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.tables import CALIBRATION_RESIDUALS
-from optnav_cli.measurements.calibration_grid import GridDots, Pattern, find_grid
 from optnav_cli.output.manifest import write_manifest
 from optnav_cli.output.run_folder import CAMERAS
 from optnav_cli.output.wording import json_text, table_lines
-from optnav_cli.runs.calibrate_folder import CALIBRATION_JSON, KIND, RESIDUALS_CSV, STAGE
 
 UNSEEN_SHARE = 0.9  # of its prior's sigma: a number of which the pictures tell hardly anything
 WEAK_FOCAL = 0.003  # relative error of a focal length that people should know of

@@ -12,9 +12,10 @@ import pytest
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli import main
+from optnav_cli.calibration import adjusted_folder
+from optnav_cli.calibration.adjustment import FrameResult
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
-from optnav_cli.estimation.adjustment import FrameResult
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.estimation.resection import resect_robustly
 from optnav_cli.fix import Evidence, Fix, MatchRow, Method, NoFix, Solution
@@ -25,8 +26,7 @@ from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.tables import write_matches, write_solutions
 from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.report.write import write_report
-from optnav_cli.runs import adjusted_folder
-from tests.optnav_cli.estimation.test_adjustment import (
+from tests.optnav_cli.calibration.test_adjustment import (
     ATTITUDE,
     CAMERA,
     POSITION_M,

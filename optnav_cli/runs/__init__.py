@@ -1,1 +1,0 @@
-"""Whole jobs over a folder: pictures in, a run folder out."""
