@@ -24,8 +24,8 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.tables import write_matches, write_solutions
+from optnav_cli.pages import write_report
 from optnav_cli.reasons import Reason, ReasonCode
-from optnav_cli.report.write import write_report
 from tests.optnav_cli.calibration.test_adjustment import (
     ATTITUDE,
     CAMERA,
