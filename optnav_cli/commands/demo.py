@@ -64,7 +64,7 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     from optnav_cli.navigate.job import navigate_folder
     from optnav_cli.navigate.worker import RunInputs
     from optnav_cli.output.manifest import write_manifest
-    from optnav_cli.report import write_report
+    from optnav_cli.pages import write_report
     from optnav_cli.simulation.job import simulate_folder
 
     config = resource("configs/catalogs/tycho.toml")

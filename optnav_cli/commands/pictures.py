@@ -382,7 +382,8 @@ def report(source: Path, output: Path | None, layout: Path | None) -> None:
       optnav report orbit -o orbit.html
       optnav report run --foxglove-layout run.json
     """
-    from optnav_cli.report import write_layout, write_report
+    from optnav_cli.pages import write_report
+    from optnav_cli.report.foxglove_layout import write_layout
 
     if output is None and layout is None:
         raise click.UsageError("nothing to make; name a page (-o) or a --foxglove-layout")

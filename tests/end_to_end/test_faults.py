@@ -20,7 +20,7 @@ from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs
-from optnav_cli.report import write_report
+from optnav_cli.pages import write_report
 from optnav_cli.simulation.job import simulate_folder
 from tests.catalog.store.written import write_points
 from tests.optnav_cli.conftest import RoughWorld

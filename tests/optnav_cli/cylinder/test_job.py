@@ -17,7 +17,7 @@ from optnav_cli.cylinder.job import cylinder_folder
 from optnav_cli.cylinder.page import cylinder_sheet
 from optnav_cli.frames.tables import CYLINDER, CYLINDER_TRUTH
 from optnav_cli.main import run
-from optnav_cli.report import write_report
+from optnav_cli.pages import write_report
 from optnav_cli.simulation.cylinder_scenario import CylinderScenario
 from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario

@@ -9,7 +9,7 @@ import numpy as np
 from catalog.control_point import ControlPoint, Flag, Patch
 from catalog.geometry.cells import CellGrid
 from catalog.store.manifest import CatalogMeta
-from optnav_cli.report import write_report
+from optnav_cli.pages import write_report
 from tests.catalog.store.written import write_points
 
 RADIUS_M = 1737400.0

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from optnav_cli.report import write_report
+from optnav_cli.pages import write_report
 from tests.optnav_cli.report.browser import Browser
 from tests.optnav_cli.report.pages import a_catalog
 

@@ -14,7 +14,7 @@ from catalog.geometry.cells import CellGrid
 from catalog.store.manifest import CatalogMeta, ComparisonMeta
 from catalog.store.reader import Catalog
 from optnav_cli.main import run
-from optnav_cli.report import write_report
+from optnav_cli.pages import write_report
 from optnav_cli.report.catalog_maps import first_reasons
 from optnav_cli.report.catalog_page import catalog_page, quantities
 from tests.catalog.store.written import write_points

@@ -14,7 +14,7 @@ from optnav_cli.main import cli
 from optnav_cli.output import foxglove
 from optnav_cli.output.recording import Recording
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.report import write_layout
+from optnav_cli.report.foxglove_layout import write_layout
 from tests.optnav_cli.output.approach import write_approach
 
 
