@@ -33,8 +33,8 @@ from optnav_cli.navigate.autonomous import Navigator
 from optnav_cli.navigate.inputs import open_catalogs, open_field, whole_relief
 from optnav_cli.navigate.job import navigate_folder as navigate_pictures
 from optnav_cli.navigate.worker import RunInputs
-from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.pages import write_report
+from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.simulation.job import simulate_folder
 
 __all__ = [

@@ -10,7 +10,7 @@ from optnav_cli.outline.limb.model import fit_limb
 from optnav_cli.outline.method import navigate
 from tests.bench.timing import best, one_core, result, sized, within
 from tests.optnav_cli.conftest import pixel_grid
-from tests.optnav_cli.navigation.horizon.limbs import CAMERA, MOON, attitude, place
+from tests.optnav_cli.outline.limb.limbs import CAMERA, MOON, attitude, place
 
 pytestmark = pytest.mark.bench
 

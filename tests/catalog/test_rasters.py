@@ -27,7 +27,7 @@ from catalog.rasters import (
 from catalog.terrain.dem.source import DemSettings, DemSource
 from tests.catalog.conftest import smooth_grid, write_dem
 from tests.catalog.mute_server import MuteServer
-from tests.optnav_cli.frames.made_cubes import Cube, write_cube
+from tests.optnav_cli.archives.made_cubes import Cube, write_cube
 
 SRS = (
     '<SRS>GEOGCS["Moon",DATUM["Moon",SPHEROID["Moon",1737400,0]],PRIMEM["0",0],'

@@ -8,7 +8,7 @@ from catalog.errors import ConfigError, NothingToDoError
 from catalog.progress import SilentProgress
 from optnav_cli.outline.limb.limb_rays import LimbRays, limb_rays_of
 from optnav_cli.outline.limb.sizes import FILE, HorizonSizes, horizon_sizes
-from tests.optnav_cli.navigation.horizon.limbs import CAMERA, attitude, grounds, limb_points, place
+from tests.optnav_cli.outline.limb.limbs import CAMERA, attitude, grounds, limb_points, place
 from tests.studies import fit, horizon_fit, likelihood
 from tests.studies.horizon_fit import (
     SeenLimb,

@@ -4,7 +4,7 @@ from random import Random
 
 from tests.fuzz.cases import DATA, OK, Case, Place, kind
 from tests.fuzz.damage import damaged
-from tests.optnav_cli.frames.made_cubes import CODE, Cube, write_cube
+from tests.optnav_cli.archives.made_cubes import CODE, Cube, write_cube
 
 OPEN = frozenset({OK, DATA})
 SIDE_PX = 8

@@ -14,7 +14,7 @@ from optnav_cli.archives.job import ImportOptions, import_folder
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.frames.frames import Frame
-from tests.optnav_cli.frames.made_cubes import (
+from tests.optnav_cli.archives.made_cubes import (
     CAMERA_BODY_KM,
     CODE,
     COLUMNS,

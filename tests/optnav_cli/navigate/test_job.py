@@ -36,8 +36,8 @@ from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.tables import read_matches
 from optnav_cli.reasons import ReasonCode
 from tests.catalog.store.written import write_points
-from tests.optnav_cli.orbit.flights import fixes_of
-from tests.optnav_cli.orbit.flights import write_run as write_fixes
+from tests.optnav_cli.orbit.fit.flights import fixes_of
+from tests.optnav_cli.orbit.fit.flights import write_run as write_fixes
 
 SETTINGS = NavigateSettings(match=MatchSettings(template_nodes=48))
 UTC = "2024-05-01T12:00:00Z"

@@ -17,8 +17,8 @@ from optnav_cli.navigate.zenith_file import zenith_rows
 from optnav_cli.orbit.fit.zenith import read_zenith
 from optnav_cli.orbit.fit.zenith_fit import fit_zenith
 from optnav_cli.reasons import NO_REASON
+from tests.optnav_cli.orbit.fit.flights import EPHEMERIS, START_S, truth
 from tests.optnav_cli.orbit.fit.test_zenith import GATE, MOTION
-from tests.optnav_cli.orbit.flights import EPHEMERIS, START_S, truth
 
 SIGMA = 20.0 * ARCSEC
 

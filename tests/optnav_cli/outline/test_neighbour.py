@@ -12,7 +12,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.picture import Picture
 from optnav_cli.outline import method as outline
 from optnav_cli.outline.neighbour import other_body
-from tests.optnav_cli.measurements.disc.drawn_discs import RADIUS_M, blurred_disc, expose
+from tests.optnav_cli.outline.disc.drawn_discs import RADIUS_M, blurred_disc, expose
 
 MOON = load_body("moon")
 TDB_S = 8.2e8

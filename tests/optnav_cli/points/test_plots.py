@@ -7,8 +7,8 @@ from optnav_cli.main import run
 from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.points.plots import is_picked, picked_sheet
 from optnav_cli.pages import write_report
+from optnav_cli.points.plots import is_picked, picked_sheet
 
 
 def test_a_run_of_picked_points_has_maps_and_error_ellipses(tmp_path: Path) -> None:

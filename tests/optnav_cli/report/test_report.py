@@ -21,8 +21,8 @@ from optnav_cli.navigate.page import read_evaluation
 from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_path, overlay_png
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.reasons import ReasonCode
 from optnav_cli.pages import write_report
+from optnav_cli.reasons import ReasonCode
 from optnav_cli.report.error_plots import frames_of
 from optnav_cli.report.ground_map import ground_plot
 from tests.optnav_cli.output.approach import write_approach

@@ -19,7 +19,7 @@ from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.scenario_base import ScenarioBase
 from tests.catalog.jobs.dask_cluster import cluster_of, needs_distributed
 from tests.catalog.pipeline.killing import wait_for_the_end_of
-from tests.optnav_cli.runs.test_resume import Stopping
+from tests.optnav_cli.navigate.test_resume import Stopping
 from tests.optnav_cli.simulation.test_simulation import CAMERA, SMALL
 
 SCENARIO = resource("configs/scenarios/demo.toml")

@@ -12,8 +12,8 @@ from catalog.progress import SilentProgress
 from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.reasons import ReasonCode
 from optnav_cli.pages import write_report
+from optnav_cli.reasons import ReasonCode
 from optnav_cli.stars.job import stars_folder
 from tests.optnav_cli.made_skies import CAMERA, UTC, drawn_sky, sky_folder, turned
 

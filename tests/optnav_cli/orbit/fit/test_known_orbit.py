@@ -16,7 +16,7 @@ from optnav_cli.orbit.fit.oem import Oem, write_oem
 from optnav_cli.orbit.fit.picture_times import picture_times
 from optnav_cli.orbit.fit.problem import OrbitFix
 from optnav_cli.orbit.fit.spk import CRAFT, write_spk
-from tests.optnav_cli.orbit.flights import MOON, START_S, fixes_of, truth, write_run
+from tests.optnav_cli.orbit.fit.flights import MOON, START_S, fixes_of, truth, write_run
 
 SIGMA_M = 15.0
 TIMES = START_S + np.arange(0.0, 5401.0, 60.0)

@@ -12,7 +12,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera
 from optnav_cli.main import run
 from optnav_cli.orbit.fit.folder import read_orbit
-from tests.optnav_cli.orbit.flights import EPHEMERIS, MOON, START_S, truth
+from tests.optnav_cli.orbit.fit.flights import EPHEMERIS, MOON, START_S, truth
 
 LENS, STATED = 0.006, 0.009
 CAMERA = Camera("tele", "pinhole", 1200, 900, 9000.0, (599.5, 449.5), focal_length_error=STATED)

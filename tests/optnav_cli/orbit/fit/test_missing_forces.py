@@ -21,8 +21,15 @@ from optnav_cli.orbit.fit.motion import ArcMotion
 from optnav_cli.orbit.fit.problem import Trajectory
 from optnav_cli.orbit.fit.settings import NoiseSettings, ParameterSettings
 from optnav_cli.orbit.fit.zenith_fit import fit_zenith, zenith_problem
+from tests.optnav_cli.orbit.fit.flights import (
+    EPHEMERIS,
+    MOON,
+    START_S,
+    fixes_of,
+    problem,
+    write_run,
+)
 from tests.optnav_cli.orbit.fit.test_zenith import GATE, sights_of
-from tests.optnav_cli.orbit.flights import EPHEMERIS, MOON, START_S, fixes_of, problem, write_run
 
 SIGMA = 0.2 * ARCSEC
 STRENGTH = 0.026  # m^2/kg

@@ -14,7 +14,7 @@ from optnav_cli.orbit.fit.job import fit_runs
 from optnav_cli.orbit.fit.picture_times import picture_times
 from optnav_cli.orbit.fit.predict import OrbitPath
 from optnav_cli.orbit.fit.settings import OrbitFitSettings
-from tests.optnav_cli.orbit.flights import QUIET, START_S, fixes_of, flight, truth, write_run
+from tests.optnav_cli.orbit.fit.flights import QUIET, START_S, fixes_of, flight, truth, write_run
 
 SETTINGS = OrbitFitSettings(forces=ForcesSettings(degree=2), noise=QUIET)
 SPEED_M_S = 1633.0

@@ -11,7 +11,7 @@ from optnav_cli.orbit.fit.motion import ArcMotion, OrbitNoiseSizes, rnb_of
 from optnav_cli.orbit.fit.problem import OrbitProblem
 from optnav_cli.orbit.fit.settings import NoiseSettings, ParameterSettings
 from optnav_cli.orbit.fit.shared_errors import SharedErrorSizes
-from tests.optnav_cli.orbit.flights import FORCES, MOON, QUIET, flight
+from tests.optnav_cli.orbit.fit.flights import FORCES, MOON, QUIET, flight
 
 SIZES = SharedErrorSizes(0.8, 12.0)
 HIGH_M, SIGMA_M = 2.0 * MOON.radius_m, 15.0

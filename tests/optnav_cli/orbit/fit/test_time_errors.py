@@ -10,7 +10,7 @@ from catalog.errors import NoSolutionError
 from optnav_cli.main import run
 from optnav_cli.orbit.fit.fit import fit_orbit
 from optnav_cli.orbit.fit.time_errors import are_whole_seconds, body_fixed_speeds
-from tests.optnav_cli.orbit.flights import START_S, fixes_of, problem, truth, write_run
+from tests.optnav_cli.orbit.fit.flights import START_S, fixes_of, problem, truth, write_run
 
 GATE = 1e-5
 CONFIG = "[forces]\ndegree = 2\n[noise]\ndensity_m2_s3 = 1e-12\n"

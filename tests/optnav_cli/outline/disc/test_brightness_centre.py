@@ -12,7 +12,7 @@ from optnav_cli.outline.disc.brightness_centre import navigate
 from optnav_cli.outline.disc.moments import sphere_moments
 from optnav_cli.outline.disc.size import disc_sizes
 from optnav_cli.outline.neighbour import CameraView
-from tests.optnav_cli.measurements.disc.drawn_discs import blurred_disc, expose, far_camera, placed
+from tests.optnav_cli.outline.disc.drawn_discs import blurred_disc, expose, far_camera, placed
 
 BODY = load_body("moon")
 CAMERA = far_camera(44)

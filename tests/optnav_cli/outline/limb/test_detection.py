@@ -11,7 +11,7 @@ from optnav_cli.frames.segmentation import measure_levels
 from optnav_cli.outline.limb.detection import find_limb
 from optnav_cli.outline.limb.sun_check import rejection_of_sun, sun_side_angle
 from tests.optnav_cli.conftest import pixel_grid
-from tests.optnav_cli.measurements.disc.drawn_discs import (
+from tests.optnav_cli.outline.disc.drawn_discs import (
     RADIUS_M,
     blurred_disc,
     disc_distance,

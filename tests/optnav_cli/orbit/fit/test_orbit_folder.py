@@ -12,7 +12,14 @@ from optnav_cli.orbit.fit.folder import read_orbit
 from optnav_cli.orbit.fit.oem import Oem, write_oem
 from optnav_cli.orbit.fit.oem_reader import read_oem
 from optnav_cli.output.run_folder import read_run
-from tests.optnav_cli.orbit.flights import MOON, START_S, fixes_of, truth, write_run, write_truth_of
+from tests.optnav_cli.orbit.fit.flights import (
+    MOON,
+    START_S,
+    fixes_of,
+    truth,
+    write_run,
+    write_truth_of,
+)
 
 CONFIG = "step_s = 150.0\n[forces]\ndegree = 2\n[noise]\ndensity_m2_s3 = 1e-12\n"
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from optnav_cli.main import run as optnav
-from tests.optnav_cli.orbit.flights import flight, write_run
+from tests.optnav_cli.orbit.fit.flights import flight, write_run
 
 CHECKOUT = Path(__file__).resolve().parents[3]
 # The last file of a folder is its manifest: all others are there by then.

@@ -7,7 +7,7 @@ import pytest
 
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from optnav_cli.main import run as optnav
-from tests.optnav_cli.orbit.flights import START_S, flight, write_run
+from tests.optnav_cli.orbit.fit.flights import START_S, flight, write_run
 
 COVERED = re.compile(r"they cover \S+ to (\S+)")
 

@@ -18,7 +18,7 @@ from optnav_cli.outline.limb.model import azimuths_about_nadir, fit_limb
 from optnav_cli.outline.limb.relief_skyline import relief_skyline
 from optnav_cli.outline.limb.sizes import horizon_sizes
 from optnav_cli.outline.limb.skyline import follow
-from tests.optnav_cli.navigation.horizon.limbs import (
+from tests.optnav_cli.outline.limb.limbs import (
     CAMERA,
     MOON,
     attitude,

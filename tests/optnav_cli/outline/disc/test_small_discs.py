@@ -12,7 +12,7 @@ from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from optnav_cli.frames.picture import Picture
 from optnav_cli.outline import method as outline
-from tests.optnav_cli.measurements.disc.drawn_discs import (
+from tests.optnav_cli.outline.disc.drawn_discs import (
     FINE,
     blurred_disc,
     expose,

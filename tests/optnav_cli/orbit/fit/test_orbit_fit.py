@@ -8,7 +8,7 @@ import pytest
 from catalog.errors import NoSolutionError
 from optnav_cli.orbit.fit.fit import fit_orbit
 from optnav_cli.orbit.fit.settings import NoiseSettings
-from tests.optnav_cli.orbit.flights import flight, moved, problem
+from tests.optnav_cli.orbit.fit.flights import flight, moved, problem
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from optnav_cli.orbit.fit.job import with_solved
 from optnav_cli.orbit.fit.motion import ArcMotion
 from optnav_cli.orbit.fit.problem import OrbitPrior, OrbitProblem
 from optnav_cli.orbit.fit.settings import NoiseSettings, OrbitFitSettings, ParameterSettings
-from tests.optnav_cli.orbit.flights import (
+from tests.optnav_cli.orbit.fit.flights import (
     EPHEMERIS,
     MOON,
     QUIET,

@@ -24,7 +24,7 @@ from optnav_cli.outline.limb.shape_skyline import (
     is_shape,
     relief_fraction,
 )
-from tests.optnav_cli.navigation.horizon.limbs import grounds, limb_points, place
+from tests.optnav_cli.outline.limb.limbs import grounds, limb_points, place
 
 PHOBOS = load_body("phobos")
 CAMERA = preset_camera("tsnn_shtk")

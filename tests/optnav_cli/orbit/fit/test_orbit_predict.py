@@ -17,7 +17,7 @@ from optnav_cli.orbit.fit.oem_reader import read_oem
 from optnav_cli.orbit.fit.predict import OrbitPath
 from optnav_cli.orbit.fit.settings import OrbitFitSettings, ParameterSettings
 from optnav_cli.orbit.fit.spk import write_spk
-from tests.optnav_cli.orbit.flights import QUIET, START_S, flight, truth, write_run
+from tests.optnav_cli.orbit.fit.flights import QUIET, START_S, flight, truth, write_run
 
 SETTINGS = OrbitFitSettings(forces=ForcesSettings(degree=2), noise=QUIET)
 
