@@ -1,7 +1,7 @@
 """Kinds of command-line values that click does not have: output places, numbers that are finite."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,27 @@ class OutputOption(click.Option):
             wanted = f"{', '.join(others)} or {last}" if others else last
             raise click.BadParameter(f"{str(place)!r} does not end in {wanted}", ctx, self)
         return place
+
+
+class RenamedChoice(click.Choice):  # type: ignore[type-arg] # generic since 8.2 only
+    """Words to choose from, of which some had other names before: those are taken with a remark.
+
+    former  old names with the new ones
+    """
+
+    def __init__(self, choices: Sequence[str], former: Mapping[str, str]) -> None:
+        super().__init__(choices)
+        self.former = former
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The chosen word. Raises BadParameter for another one."""
+        new = self.former.get(value)
+        if new is not None:
+            click.echo(
+                f"optnav: '{value}' is called '{new}' now; the old name goes with the next version",
+                err=True,
+            )
+        return super().convert(new or value, param, ctx)
 
 
 class Number(click.FloatRange):

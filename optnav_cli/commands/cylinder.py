@@ -7,16 +7,17 @@ import click
 
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
 from optnav_cli.options import OptnavCommand, output_option, path_argument
+from optnav_cli.parameters import RenamedChoice
 
 
 @click.command("cylinder", cls=OptnavCommand)
 @path_argument("folder")
 @click.option(
     "--formula",
-    type=click.Choice(["fit", "seed"]),
+    type=RenamedChoice(["fit", "printed"], {"seed": "printed"}),
     default="fit",
     show_default=True,
-    help="Fit the whole profile, or compute the printed formulas of the source (seed).",
+    help="Fit the whole profile, or compute the formulas of the source as printed.",
 )
 @output_option("Folder for the result; an earlier one in it is replaced.")
 @pass_progress
@@ -34,13 +35,13 @@ def command(progress: ConsoleProgress, folder: Path, formula: str, output: Path)
     Example:
       optnav simulate bundled:cylinder_circle -o pictures
       optnav cylinder pictures -o run
-      optnav cylinder pictures --formula seed -o printed
+      optnav cylinder pictures --formula printed -o printed
       optnav report run -o run.html
     """
     from optnav_cli.cylinder.job import cylinder_folder, cylinder_lines
 
     announce_compilation()
-    chosen = cast(Literal["fit", "seed"], formula)
+    chosen = cast(Literal["fit", "printed"], formula)
     rows = cylinder_folder(folder, output, chosen, progress)
     tell(cylinder_lines(rows))
     click.echo(output)

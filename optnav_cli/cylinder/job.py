@@ -44,7 +44,7 @@ from optnav_cli.output.wording import table_lines
 from optnav_cli.reasons import ReasonCode
 
 STAGE = "cylinder"
-Formula = Literal["fit", "seed"]
+Formula = Literal["fit", "printed"]
 CRESCENT_PX, CRESCENT_SIGMA_DEG = 5.0, 3.0
 MAX_SIGMA_DEG = 15.0  # beyond it the angle is no number to trust
 MAX_CUT_SIGMA_DEG = 6.0  # where a limb is cut other angles may fit as well, 70 deg off
@@ -167,7 +167,7 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
         profile = measure_profile(values, picture.saturation)
         _check_gaps(gaps, profile)
         cut = profile.cut
-        if formula == "seed":
+        if formula == "printed":
             height_px, width_px = seed_extent(profile)
             angles = height_px / lens.focal_y_px, width_px / lens.focal_x_px
             d_m, theta = seed_distance_and_angle(*angles, size)

@@ -18,7 +18,7 @@ from optnav_cli.reasons import ReasonCode
 SMOOTH_PX = 3  # side of the box that noise is averaged over before the lit part is sought
 BRIGHT_PX = 60  # the brightness of the lit part is that of its brightest so many pixels
 LIT_SHARE, LIT_SIGMAS = 0.25, 6.0  # of that brightness, and over the background's noise
-SEED_SHARE = 0.1  # of the brightness, where the printed formulas take the edge of the lit area
+PRINTED_SHARE = 0.1  # of the brightness, where the printed formulas take the edge of the lit area
 MIN_LIT_PX = 24
 RIVAL_SHARE = 0.2  # of the lit area: as much of another body is one
 MIN_COUNTS = 60.0  # of the lit part: of less, noise does not hide rounding to whole counts
@@ -134,9 +134,9 @@ def seed_extent(profile: CylinderProfile) -> tuple[float, float]:
         raise NoSolutionError("the lit area is cut, so it has no height", ReasonCode.OUTSIDE_FRAME)
     if {"left", "right"} & set(profile.cut):
         raise NoSolutionError("the lit area is cut, so it has no width", ReasonCode.OUTSIDE_FRAME)
-    above = np.flatnonzero(profile.brightness > SEED_SHARE * profile.bright)
+    above = np.flatnonzero(profile.brightness > PRINTED_SHARE * profile.bright)
     first, last = int(above[0]), int(above[-1])
-    level, values = SEED_SHARE * profile.bright, profile.brightness
+    level, values = PRINTED_SHARE * profile.bright, profile.brightness
     start = _crossing(values, first, -1, level) if first > 0 else first - 0.5
     end = _crossing(values, last, 1, level) if last < values.size - 1 else last + 0.5
     return float(np.quantile(profile.heights, 0.97)), end - start

@@ -273,3 +273,14 @@ def test_an_unknown_shell_is_told() -> None:
     )  # fmt: skip
     assert done.returncode == 2
     assert "SHELL one of bash, zsh, fish" in done.stderr
+
+
+def test_a_former_name_of_a_choice_is_taken_with_a_remark(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["cylinder", str(tmp_path / "none"), "-o", str(tmp_path / "run"), "--formula"]
+    assert [run([*line, "printed"]), run([*line, "seed"]), run([*line, "sown"])] == [3, 3, 2]
+    said = capsys.readouterr().err
+    assert (
+        said.count("'seed' is called 'printed' now; the old name goes with the next version") == 1
+    )

@@ -101,7 +101,7 @@ def test_zones_are_shaded_in_the_plots(tmp_path: Path) -> None:
 
 
 def test_the_printed_formulas_are_computed(pictures: Path, tmp_path: Path) -> None:
-    rows = cylinder_folder(pictures, tmp_path / "run", "seed", SilentProgress())
+    rows = cylinder_folder(pictures, tmp_path / "run", "printed", SilentProgress())
     assert rows[0].theta_deg == pytest.approx(60.0, abs=5.0)
     assert rows[0].theta_sigma_deg is None
 
