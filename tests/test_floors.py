@@ -2,6 +2,8 @@
 
 import ast
 import graphlib
+import re
+import tomllib
 from collections.abc import Iterator
 from fnmatch import fnmatch
 from pathlib import Path
@@ -125,6 +127,11 @@ def test_modules_import_only_from_lower_floors() -> None:
     assert faults() == []
 
 
+def test_each_unit_of_the_floors_is_there() -> None:
+    there = {unit_of(module) for module, _ in modules()}
+    assert set(FLOOR_OF) == there - set(PACKAGES)
+
+
 def test_no_modules_import_each_other_in_a_circle() -> None:
     assert circle() == []
 
@@ -169,3 +176,18 @@ def test_pytest_enters_every_folder_of_tests(pytestconfig: pytest.Config):
     folders = {path.parent for path in (CHECKOUT / "tests").rglob("test_*.py")}
     names = {part for folder in folders for part in folder.relative_to(CHECKOUT).parts}
     assert not [name for name in names if any(fnmatch(name, skip) for skip in skipped)]
+
+
+def test_each_extra_is_imported_somewhere() -> None:
+    """Of pyproject.toml, all but those of the tests' own tools, which commands start."""
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    texts = "".join(
+        path.read_text(encoding="utf-8")
+        for folder in (*PACKAGES, "tests")
+        for path in (CHECKOUT / folder).rglob("*.py")
+    )
+    extras = project["optional-dependencies"]
+    for name in set(extras) - {"test"}:
+        for requirement in extras[name]:
+            package = re.split(r"[>=<!~ \[]", requirement)[0].replace("-", "_")
+            assert re.search(rf"(import|from) {package}\b|[\"']{package}[\"'.]", texts), requirement
