@@ -165,7 +165,7 @@ def _read_table(path: Path, label: Label, name: str) -> _Table:
         start, length, records = (int(table[key]) for key in ("StartByte", "Bytes", "Records"))
         order = ">" if table["ByteOrder"].lower() == "msb" else "<"
         layout = np.dtype([(field["Name"], order + _TYPES[field["Type"]]) for field in fields])
-        numbers = all(field["Size"] == 1 for field in fields)
+        numbers = bool(fields) and all(field["Size"] == 1 for field in fields)
     except (AttributeError, KeyError, TypeError, ValueError):
         numbers = False
     if not numbers:

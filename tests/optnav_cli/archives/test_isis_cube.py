@@ -13,6 +13,7 @@ from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.archives.isis_cube import read_cube_label, read_cube_pose
+from tests.optnav_cli.archives.made_cubes import Cube, write_cube
 
 CUBE = "apollo15/AS15-M-0297_crop.cub"
 
@@ -108,3 +109,12 @@ def test_a_damaged_label_is_refused(
     (tmp_path / "a.cub").write_bytes(damaged)
     with pytest.raises(DataError, match=rf"a\.cub: .*{message}.*; run spiceinit"):
         read_cube_pose(tmp_path / "a.cub")
+
+
+def test_a_table_without_fields_is_refused(tmp_path: Path) -> None:
+    cube = write_cube(tmp_path / "a.cub", Cube())
+    data = cube.read_bytes()
+    at = data.index(b"Name = InstrumentPosition")
+    cube.write_bytes(data[:at] + data[at:].replace(b"Group = Field", b"Group = Other", 7))
+    with pytest.raises(DataError, match=r"its table InstrumentPosition has a field that is no"):
+        read_cube_pose(cube)
