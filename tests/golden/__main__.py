@@ -4,7 +4,7 @@ Look at the difference. The pictures come from the demo, the Apollo study, a fis
 demo's ground and the catalog of Phobos, some minutes in all; the curves from their studies, ten
 minutes; the flights are made over a catalog of the whole Moon, ten minutes and the large terrain in
 the folder OPTNAV_SHARED_DATA. What they leave stands in build/golden. Captions go to
-captions.json and from there, with the stored table of the Apollo study, into the READMEs.
+captions.json and from there, with the stored figures of the studies, into the READMEs.
 """
 
 import json
@@ -30,12 +30,13 @@ from tests.golden import (
 )
 from tests.studies import apollo
 from tests.studies.__main__ import studies
+from tests.studies.stored import FIGURES
 
 HERE = Path(__file__).resolve().parent
 README = HERE / "readme"
 DEMO_FRAME, APOLLO_FRAME = "frame_0001.png", "AS15-M-0297_SML.png"
 CENTRAL_PEAK_DEG = (-43.3, -11.2)
-APOLLO_FIGURES = documents.FIGURES / "apollo.json"
+APOLLO_FIGURES = FIGURES / "apollo.json"
 HAZARD = (2, 5.0, 200.0)  # seed of the ground, elevation of the Sun, side of squares
 CURVES = ("arc", "resection", "matching")  # studies
 

@@ -6,7 +6,6 @@
 
 import json
 import re
-import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -17,12 +16,12 @@ from optnav_cli.commands.config import first_sentence
 from optnav_cli.frames import orbit_tables, tables
 from optnav_cli.main import COMMANDS, cli
 from optnav_cli.reasons import ReasonCode
-from tests.studies.__main__ import studies
-from tests.studies.tables import StudyReport
+from tests.golden.headlines import HEADLINES
+from tests.studies.registry import STUDIES
+from tests.studies.stored import format_report, list_stored, read_report, read_stored
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 CONFIGS = CHECKOUT / "configs"
-FIGURES = CHECKOUT / "tests" / "studies" / "figures"
 BENCHES = CHECKOUT / "tests" / "bench" / "figures"
 CAPTIONS = Path(__file__).with_name("captions.json")
 # A sentence, and where its figures stand: study, table, row, columns.
@@ -73,46 +72,56 @@ DOCUMENTS = sorted(
 PART = re.compile(r"(<!-- made: (\w+)((?: [\w.-]+)*) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
-def study(name: str) -> str:
-    """The stored tables of a study, and from which run they are."""
-    return _stored(FIGURES / f"{name}.json", "python -m tests.studies {}")
-
-
 def bench(name: str) -> str:
     """The stored figures of a bench, and from which run they are."""
-    return _stored(BENCHES / f"{name}.json", "make {}")
+    return format_report(read_report(BENCHES / f"{name}.json"), "make {}")
 
 
 def accuracy() -> str:
     """A few figures of the studies, for the first page."""
-    lines = []
-    for text, place in ACCURACY.items():
-        name, number, row, *columns = place.split()
-        table = _report(FIGURES / f"{name}.json").tables[int(number)]
-        cells = {c.name: (c, cell) for c, cell in zip(table.columns, table.rows[int(row)])}
-        # what was asked for stands behind a figure in brackets
-        shown = (cells[column][0].shown(cells[column][1]).partition(" (")[0] for column in columns)
-        lines.append(f"- {text.format(*shown)}")
+    # what was asked for stands behind a figure in brackets
+    return "\n".join(
+        f"- {text.format(*(cell.partition(' (')[0] for cell in pick_cells(place)))}"
+        for text, place in ACCURACY.items()
+    )
+
+
+def headlines() -> str:
+    """A row per study: its question, its decisive figures, date and commit of its stored runs."""
+    lines = ["| study | question | figures | stored runs |", "|---|---|---|---|"]
+    questions = {study.name: study.question for study in STUDIES}
+    reports = {name: read_stored(name) for name in list_stored()}
+    for name, texts in HEADLINES.items():
+        figures = "; ".join(text.format(*pick_cells(place)) for text, place in texts.items())
+        runs = "; ".join(
+            f"{'' if stored == name else f'`{stored}` '}{report.date} {str(report.commit)[:8]}"
+            for stored, report in reports.items()
+            if report.study == name
+        )
+        lines.append(f"| `{name}` | {questions[name]} | {figures} | {runs} |")
     return "\n".join(lines)
+
+
+def pick_cells(places: str) -> list[str]:
+    """Pick cells of stored tables, as shown, by "result table row column column; table row ...".
+
+    places  the result is named once; table and row are counted from 0
+    """
+    name, _, places = places.partition(" ")
+    tables = read_stored(name).tables
+    cells = []
+    for place in places.split(";"):
+        number, row, *names = place.split()
+        table = tables[int(number)]
+        shown = {c.name: c.shown(cell) for c, cell in zip(table.columns, table.rows[int(row)])}
+        cells += [shown[column] for column in names]
+    return cells
 
 
 def caption(name: str) -> str:
     """What a picture of the documents shows, with its figures, as `make golden` wrote it."""
     captions: dict[str, str] = json.loads(CAPTIONS.read_text(encoding="utf-8"))
     return captions[name]
-
-
-def gains(name: str) -> str:
-    """What choosing gains over other places, of a stored table of shares, by posting."""
-    table = _report(FIGURES / f"{name}.json").tables[0]
-    lines = []
-    for posting, *cells in table.rows:
-        chosen, *others = (float(str(cell).partition(" ")[0]) for cell in cells)
-        titles = [column.title for column in table.columns[2:]]
-        gained = zip(titles, others, strict=True)
-        less = "; ".join(f"{chosen - v:.1f} points over {t}" for t, v in gained)
-        lines.append(f"- {posting}: choosing gains {less}.")
-    return "\n".join(lines)
 
 
 def commands() -> str:
@@ -124,12 +133,6 @@ def subcommands(group: str) -> str:
     """Every command of a group with its short help."""
     found = _commands_of(group).items()
     return _listed({f"optnav {group} {name}": sub.get_short_help_str(200) for name, sub in found})
-
-
-def experiments() -> str:
-    """Every study with its question."""
-    found = studies.commands.items()
-    return _listed({f"make study-{name}": sub.get_short_help_str(200) for name, sub in found})
 
 
 def _commands_of(group: str) -> dict[str, click.Command]:
@@ -162,12 +165,10 @@ def reasons() -> str:
 PARTS: dict[str, Callable[..., str]] = {
     part.__name__: part
     for part in (
-        study,
-        experiments,
+        headlines,
         bench,
         accuracy,
         caption,
-        gains,
         commands,
         subcommands,
         configs,
@@ -190,26 +191,6 @@ def outdated() -> list[Path]:
     """The documents whose made parts are not what they should be."""
     texts = {path: path.read_text(encoding="utf-8") for path in DOCUMENTS}
     return [path for path, text in texts.items() if current(text) != text]
-
-
-def _report(path: Path) -> StudyReport:
-    return StudyReport.from_json(path.read_text(encoding="utf-8"))
-
-
-def _stored(path: Path, command: str) -> str:
-    report = _report(path)
-    words = [command.format(report.study)]
-    given = {name: value for name, value in report.arguments.items() if value not in (None, "")}
-    study = studies.commands.get(report.study)
-    bare = [p.name for p in study.params if isinstance(p, click.Argument)] if study else []
-    for name, value in given.items():
-        option = "" if name in bare else f"--{name} "
-        if value is not False:
-            words.append(f"--{name}" if value is True else f"{option}{shlex.quote(str(value))}")
-    origin = f"From the run of `{' '.join(words)}` at commit {report.commit}, {report.date}."
-    titles = [f"*{table.title}*\n\n" if table.title else "" for table in report.tables]
-    shown = [f"{t}{table.to_markdown()}" for t, table in zip(titles, report.tables, strict=True)]
-    return "\n\n".join([*shown, *report.notes, origin])
 
 
 def _listed(texts: Mapping[str, str]) -> str:

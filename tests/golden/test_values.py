@@ -10,9 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from tests.golden.__main__ import CURVES, main
-from tests.golden.documents import CAPTIONS, DOCUMENTS, FIGURES
+from tests.golden.documents import CAPTIONS, DOCUMENTS
 from tests.golden.values import LAWS, NODES, SUNS, frozen, golden_values
-from tests.studies.tables import StudyReport
+from tests.studies.stored import read_stored
 
 README = Path(__file__).with_name("readme")
 ANEW = "if the change is meant, run `make golden` and look at what it changed"
@@ -129,6 +129,6 @@ def test_the_orbit_s_picture_shows_errors_with_their_sigmas():
 
 def test_the_caption_of_the_apollo_picture_has_the_figures_of_the_study():
     text = json.loads(CAPTIONS.read_text(encoding="utf-8"))["apollo"]
-    table = StudyReport.from_json((FIGURES / "apollo.json").read_text(encoding="utf-8")).tables[0]
+    table = read_stored("apollo").tables[0]
     (used,), (of,), (residual,) = map(table.column, ("used", "predicted", "residual_px"))
     assert f"{used} of {of} control points are used, residual {residual:.2f} px" in text

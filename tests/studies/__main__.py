@@ -1,6 +1,7 @@
 """`make study-NAME`: the experiments behind the figures, a command each from their registry.
 
 python -m tests.studies NAME [OPTIONS]
+python -m tests.studies show [NAME]
 """
 
 import inspect
@@ -76,6 +77,30 @@ def _command(study: Study) -> click.Command:
         help=f"{inspect.cleandoc(study.text)}\n\n\b\nExample:\n"
         f"  python -m tests.studies {study.name} {study.example}".rstrip(),
     )
+
+
+@studies.command("show", cls=OptnavCommand, short_help="Print the stored tables of a study.")
+@click.argument("name", default="")
+def show(name: str) -> None:
+    """Print the stored tables of a study as Markdown.
+
+    Without NAME, list the stored results with their study, date and commit.
+
+    \b
+    Example:
+      python -m tests.studies show navigation_real
+    """
+    from tests.studies.stored import format_report, list_stored, read_stored
+
+    names = list_stored()
+    if name and name not in names:
+        raise click.BadParameter(f"there is no {name!r}; there are {', '.join(names)}")
+    if name:
+        click.echo(format_report(read_stored(name)))
+        return
+    for stored in names:
+        report = read_stored(stored)
+        click.echo(f"{stored:<22}{report.study:<14}{report.date}  {report.commit}")
 
 
 for _study in STUDIES:

@@ -15,6 +15,7 @@ from catalog.errors import DataError
 from optnav_cli.main import run
 from tests.studies.__main__ import studies
 from tests.studies.registry import STUDIES
+from tests.studies.stored import list_stored, read_stored
 from tests.studies.study import Study
 from tests.studies.tables import StudyColumn, StudyReport, StudyTable, checkout_commit
 
@@ -110,7 +111,34 @@ def test_a_study_draws_its_plot(tmp_path: Path) -> None:
 
 
 def test_the_registry_makes_commands() -> None:
-    assert studies.list_commands(click.Context(studies)) == sorted(study.name for study in STUDIES)
+    names = {study.name for study in STUDIES}
+    assert studies.list_commands(click.Context(studies)) == sorted(names | {"show"})
+
+
+def test_show_lists_the_stored_results() -> None:
+    done = CliRunner().invoke(studies, ["show"])
+    assert done.exit_code == 0
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert [line[0] for line in lines] == list_stored()
+    assert ["navigation_real", "navigation"] in [line[:2] for line in lines]
+
+
+def test_show_prints_the_tables_and_their_run_as_markdown() -> None:
+    done = CliRunner().invoke(studies, ["show", "comet"])
+    report = read_stored("comet")
+    assert done.exit_code == 0
+    assert f"*{report.tables[0].title}*\n\n{report.tables[0].to_markdown()}\n" in done.stdout
+    origin = f"From the run of `python -m tests.studies comet data` at commit {report.commit}"
+    assert done.stdout.rstrip().endswith(f"{origin}, {report.date}.")
+
+
+def test_show_names_the_stored_results_for_an_unknown_name(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["show", "nowhere"], studies) == 2
+    message = capsys.readouterr().err
+    assert "there is no 'nowhere'; there are acceptance, " in message
+    assert all(name in message for name in list_stored())
 
 
 def test_a_study_replaces_no_foreign_json(
