@@ -6,14 +6,17 @@
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping
+from itertools import groupby
 from pathlib import Path
 
 import click
 
-from catalog.tables import CsvTable
+from catalog.tables import CsvColumn, CsvTable
 from optnav_cli.commands.config import first_sentence
-from optnav_cli.frames import orbit_tables, tables
+from optnav_cli.frames import orbit_tables
+from optnav_cli.frames import tables as csv_columns
 from optnav_cli.main import COMMANDS, cli
 from optnav_cli.reasons import ReasonCode
 from tests.golden.headlines import HEADLINES
@@ -65,10 +68,45 @@ ACCURACY = {
 }
 DOCUMENTS = sorted(
     path
-    for pattern in ("*.md", "*/*.md", "*/*/*.md")
+    for pattern in ("*.md", "*/*.md", "*/*/*.md", "*/*/*/*.md")
     for path in CHECKOUT.glob(pattern)
     if path.relative_to(CHECKOUT).parts[0] not in ("build", "dist") and ".venv" not in path.parts
 )
+# Tables of optnav_cli/TABLES.md in their order, and the files that they describe.
+TABLES = {
+    "frames": "frames.csv",
+    "truth": "truth.csv",
+    "picked_points": "points.csv",
+    "solution": "solution.csv",
+    "solution_spheroid": "solution.csv of a spheroid",
+    "solution_lens": "solution.csv with estimated lenses",
+    "matches": "matches.csv",
+    "landmarks": "landmarks.csv",
+    "evaluation": "evaluation.csv",
+    "attitudes": "attitudes.csv",
+    "cylinder": "cylinder.csv",
+    "heights": "heights.csv",
+    "pads": "pads.csv",
+    "calibration_residuals": "residuals.csv of a calibration",
+    "orbit": "orbit.csv",
+    "orbit_residuals": "residuals.csv of an orbit",
+    "disturbances": "disturbances.csv",
+    "orbit_errors": "orbit_errors.csv",
+    "zenith": "zenith.csv",
+    "zenith_residuals": "zenith_residuals.csv",
+    "picture_times": "times.csv",
+    "qso": "qso.csv",
+    "qso_passes": "passes.csv",
+    "qso_paths": "paths.csv",
+    "landing": "landing.csv",
+    "landing_impulse": "impulse.csv",
+    "landing_path": "path.csv",
+    "delivery_stages": "stages.csv",
+    "delivery_boxes": "boxes.csv",
+    "delivery_arrivals": "arrivals.csv",
+}
+MIN_COMMON_TABLES = 3  # tables that a column stands in to be explained once for all
+MAX_NAMES = 6  # of merged columns that are all written out
 PART = re.compile(r"(<!-- made: (\w+)((?: [\w.-]+)*) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
@@ -150,11 +188,41 @@ def configs(folder: str) -> str:
     )
 
 
-def columns(name: str) -> str:
-    """The columns of a CSV file of a picture folder, of a run folder or of an orbit's."""
-    place = tables if hasattr(tables, name.upper()) else orbit_tables
+def tables() -> str:
+    """Render the columns of every CSV file; those common to several tables once."""
+    csv_tables = {title: _csv_table(name) for name, title in TABLES.items()}
+    counts = Counter(column for table in csv_tables.values() for column in set(table.columns))
+    listed = dict.fromkeys(column for table in csv_tables.values() for column in table.columns)
+    common = [column for column in listed if counts[column] >= MIN_COMMON_TABLES]
+    parts = [f"## Common columns\n\n{_column_rows(common, ())}"]
+    for title, table in csv_tables.items():
+        parts.append(f"## {title}\n\n{_column_rows(table.columns, common)}")
+    return "\n\n".join(parts)
+
+
+def _csv_table(name: str) -> CsvTable:
+    place = csv_columns if hasattr(csv_columns, name.upper()) else orbit_tables
     table: CsvTable = getattr(place, name.upper())
-    return table.markdown().strip()
+    return table
+
+
+def _column_rows(columns: Iterable[CsvColumn], common: Collection[CsvColumn]) -> str:
+    """Render columns as a Markdown table; neighbours that differ in an axis share a row."""
+
+    def meaning(column: CsvColumn) -> tuple[str, str]:
+        if column in common:
+            return "", "[common](#common-columns)"
+        kind = column.unit if column.kind == "number" else column.kind
+        holds = re.sub(r"(?:,| along) (?:[A-Za-z]|[xyz]{2})$", "", column.meaning)
+        return f"{kind or 'number'}{'?' if column.empty else ''}", holds
+
+    rows = []
+    for (kind, holds), group in groupby(columns, key=meaning):
+        names = [f"`{column.name}`" for column in group]
+        if len(names) > MAX_NAMES and kind:
+            names = [names[0], f"... {len(names)} columns ...", names[-1]]
+        rows.append(f"| {' '.join(names)} | {kind} | {holds} |")
+    return "\n".join(["| column | unit | holds |", "|---|---|---|", *rows])
 
 
 def reasons() -> str:
@@ -172,7 +240,7 @@ PARTS: dict[str, Callable[..., str]] = {
         commands,
         subcommands,
         configs,
-        columns,
+        tables,
         reasons,
     )
 }

@@ -14,7 +14,7 @@ from optnav_cli.main import run
 from optnav_cli.output.wording import json_text
 from tests.catalog.made_catalogs import World, make_world
 
-README = Path(__file__).resolve().parents[3] / "optnav_cli" / "README.md"
+TABLES = Path(__file__).resolve().parents[3] / "optnav_cli" / "TABLES.md"
 
 
 def unknown_world(seed: int = 7) -> World:
@@ -55,8 +55,8 @@ class Asked:
         return document, lines
 
     def keys(self, words: str, document: dict[str, Any]) -> None:
-        """The documents of README have the keys that there are, in their order."""
-        row = re.search(rf"^\| `optnav {words} --json` \| (.*) \|$", README.read_text(), re.M)
+        """The documents of TABLES.md have the keys that there are, in their order."""
+        row = re.search(rf"^\| `optnav {words} --json` \| (.*) \|$", TABLES.read_text(), re.M)
         assert row is not None
         assert re.findall(r"`(\w+)`", row[1].split(" · ")[0]) == list(document)
 
@@ -89,7 +89,7 @@ def test_info_holds_the_numbers_of_its_lines(ask: Asked, catalog: Path) -> None:
     assert list(document["extent"].values()) == pytest.approx(corners, abs=1e-4)
     assert f"median {document['recognition_rate_usable']['median']:.3f}" in text
     assert (document["relief"], document["planes"]) == (None, None)
-    row = README.read_text().partition("`optnav catalog info --json`")[2].partition("\n")[0]
+    row = TABLES.read_text().partition("`optnav catalog info --json`")[2].partition("\n")[0]
     for name in ("extent", "recognition_rate_usable"):
         assert all(f"`{key}`" in row for key in document[name])
     ask.keys("catalog info", document)
