@@ -205,9 +205,13 @@ def match_point(
         scores = at.score, at.runner_up
         return PointMatch(level, reason, expected + shift, covariance, offset, *scores, part)
 
-    laid = laid_at(sampled, rendered, match), laid_at(pixels, rendered, match)
     smooth_too = blur_nodes or not gates.refuse_smooth
-    found = _without_smooth(placed(match), None if smooth_too else laid, picture.count_step)
+    laid = (
+        None
+        if smooth_too
+        else (laid_at(sampled, rendered, match), laid_at(pixels, rendered, match))
+    )
+    found = _without_smooth(placed(match), laid, picture.count_step)
     least = MIN_ALBEDO_POSTING_M if level else MIN_FINEST_ALBEDO_POSTING_M
     coarse = posting >= least and not (blur_nodes or plan.interim or plan.soft_nodes)
     if found.reason or not coarse or template is not rendered:
