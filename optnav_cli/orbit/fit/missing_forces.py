@@ -9,12 +9,13 @@ that mends the residuals is named. Third bodies (Sun, planet, the Earth's Moon) 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import msgspec
 import numpy as np
 from scipy.special import chdtrc
 
-from catalog.arrays import BoolArray, FloatArray
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.errors import ConfigError, DataError, NoSolutionError
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.left_out import forces_left_out
@@ -35,12 +36,25 @@ ACCELERATION_SIGMA = 1e-3  # m/s^2
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """A fit with what is tried: trajectory, chi-square, its pattern's probability and inflation."""
+    """A fit with what is tried: trajectory, chi-square, residuals.
+
+    residuals  standardised, their series and times: what `pattern_probability` takes, with the
+               revolution in s
+    """
 
     at: Trajectory
     chi_square: float
-    probability: float
-    inflation: float
+    residuals: tuple[FloatArray, IntArray, FloatArray, float]
+
+    @cached_property
+    def probability(self) -> float:
+        """By which chance makes the pattern of the residuals."""
+        return pattern_probability(*self.residuals)
+
+    @cached_property
+    def inflation(self) -> float:
+        """Factor of the covariance by that pattern."""
+        return pattern_inflation(*self.residuals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,9 +190,5 @@ def _solve(problem: OrbitProblem, at: Trajectory, used: BoolArray, steps: int) -
         chi_square = found.chi_square + problem.left_over(at, weights)
         deltas = found.deviations[:, : problem.width, 0]
         at = Trajectory(at.states + deltas[:, :6], at.parameters + deltas[-1, 6:])
-    pattern = *problem.standardised(at, found, used), _revolution_s(problem, at)
-    return _Solved(at, chi_square, pattern_probability(*pattern), pattern_inflation(*pattern))
-
-
-def _revolution_s(problem: OrbitProblem, at: Trajectory) -> float:
-    return float(2.0 * np.pi * problem.motion.radian_s(at.states[0, :3]))
+    revolution_s = float(2.0 * np.pi * problem.motion.radian_s(at.states[0, :3]))
+    return _Solved(at, chi_square, (*problem.standardised(at, found, used), revolution_s))
