@@ -47,23 +47,26 @@ MODEL_SIGMA = 0.25
 
 @dataclass(frozen=True, eq=False)
 class CodedFit:
-    """A fit to counts of unknown gamma: its covariances hold gamma's error.
+    """A fit to counts of unknown gamma, with 1 sigma of it: the covariances hold its error."""
 
-    profile  in light, by the estimated gamma;  gamma_sigma  1 sigma
-    """
-
-    profile: CylinderProfile
     fit: CylinderFit
     gamma: float
     gamma_sigma: float
 
 
 def fit_coded_cylinder(
-    values: Float32Array, saturation: float | None, lens: IdealLens, size: CylinderSize
+    values: Float32Array,
+    saturation: float | None,
+    profile: CylinderProfile,
+    lens: IdealLens,
+    size: CylinderSize,
 ) -> CodedFit:
     """Fit the cylinder of a picture (rows, columns) whose counts have an unknown gamma.
 
-    saturation  full scale; None for no limit. Raises NoSolutionError where it shows none.
+    saturation  full scale; None for no limit
+    profile     of the counts as they are
+
+    Raises NoSolutionError where it shows none.
     """
     full = float(values.max()) if saturation is None else saturation
 
@@ -71,10 +74,9 @@ def fit_coded_cylinder(
         light = Coding("gamma", gamma).decode(values, full).astype(np.float32)
         return measure_profile(light, saturation)
 
-    gamma, edge_sigma = estimate_gamma(values, measure_profile(values, saturation), full)
+    gamma, edge_sigma = estimate_gamma(values, profile, full)
     sigma = min(float(np.hypot(edge_sigma, MODEL_SIGMA)), GAMMA_SIGMA)
-    profile = profile_of(gamma)
-    fit = fit_cylinder(profile, lens, size)
+    fit = fit_cylinder(profile_of(gamma), lens, size)
     moves = []
     for other in (gamma - sigma, gamma + sigma):
         try:
@@ -95,7 +97,7 @@ def fit_coded_cylinder(
         covariance=fit.covariance + beyond[first, first],
         state_covariance=fit.state_covariance + beyond,
     )
-    return CodedFit(profile, fit, gamma, sigma)
+    return CodedFit(fit, gamma, sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +178,7 @@ def estimate_gamma(
     samples = edge_samples(values, profile, full)
     if len(samples.columns) < MIN_EDGES:
         return GAMMA, GAMMA_SIGMA
-    fits = [_EdgeFit(samples, gamma) for gamma in STARTS]
+    fits = [_GammaFit(samples, gamma) for gamma in STARTS]
     # the minima differ little: their mean, by how likely each is, holds more often than the best
     costs, gammas = np.array([fit.cost for fit in fits]), np.array([fit.state[0] for fit in fits])
     scale = ALIKE * max(costs.min() / (samples.values.size - len(samples.columns)), 1.0)
@@ -187,7 +189,7 @@ def estimate_gamma(
     return gamma, float(np.sqrt(shares @ (own**2 + (gammas - gamma) ** 2)))
 
 
-class _EdgeFit:
+class _GammaFit:
     """Gamma and shape (1 + k,) and ends (m,) that fit samples, by damped steps from a gamma."""
 
     def __init__(self, samples: EdgeSamples, gamma: float) -> None:

@@ -78,7 +78,7 @@ def lit_edges(theta: float, radius_m: float, distance_m: float) -> tuple[float, 
     return (edge, limb) if theta >= 0.0 else (-limb, -edge)
 
 
-def seed_distance_and_angle(
+def printed_distance_and_angle(
     lit_height: float, lit_width: float, size: CylinderSize
 ) -> tuple[float, float]:
     """The distance d to the surface, m, and theta, rad, by formulas (5) and (6) as printed.

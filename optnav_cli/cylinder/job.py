@@ -29,11 +29,11 @@ from optnav_cli.cylinder.geometry import (
     CylinderSize,
     half_width,
     lit_edges,
-    seed_distance_and_angle,
+    printed_distance_and_angle,
 )
 from optnav_cli.cylinder.overlay import cylinder_overlay
 from optnav_cli.cylinder.page import CYLINDER_CSV, CYLINDER_KIND, cylinder_sheet
-from optnav_cli.cylinder.profile import CylinderProfile, measure_profile, seed_extent
+from optnav_cli.cylinder.profile import CylinderProfile, measure_profile, printed_extent
 from optnav_cli.cylinder.velocity import series_places, series_velocity
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import frame_picture
@@ -168,15 +168,19 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
         _check_gaps(gaps, profile)
         cut = profile.cut
         if formula == "printed":
-            height_px, width_px = seed_extent(profile)
+            height_px, width_px = printed_extent(profile)
             angles = height_px / lens.focal_y_px, width_px / lens.focal_x_px
-            d_m, theta = seed_distance_and_angle(*angles, size)
+            d_m, theta = printed_distance_and_angle(*angles, size)
             row = CylinderRow(frame, "", d_m, None, math.degrees(theta))
         elif {"top", "bottom"} & set(cut) and {"left", "right"} & set(cut):
             text = "neither its height nor its width is whole, which leaves the distance open"
             raise NoSolutionError(text, ReasonCode.OUTSIDE_FRAME)
         else:
-            fit, gamma = _fitted(values, picture.saturation, camera, profile, size)
+            if camera.coding is None:
+                coded = fit_coded_cylinder(values, picture.saturation, profile, lens, size)
+                fit, gamma = coded.fit, (coded.gamma, coded.gamma_sigma)
+            else:
+                fit, gamma = fit_cylinder(profile, lens, size), None
             row = replace(_row(frame, fit, profile.cut, camera, settings), gamma=gamma)
             if picture.remarks:
                 row = replace(row, reason=_joined(row.reason, "; ".join(picture.remarks)))
@@ -190,20 +194,6 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
     drawn = cylinder_overlay(values, fit, lens, size, f"{words} {row.zone}")
     overlay_path(place / "overlays", frame.file).write_bytes(drawn)
     return row
-
-
-def _fitted(
-    values: Float32Array,
-    saturation: float | None,
-    camera: Camera,
-    profile: CylinderProfile,
-    size: CylinderSize,
-) -> tuple[CylinderFit, tuple[float, float] | None]:
-    """Fit a picture; where no coding is stated, gamma with its sigma too."""
-    if camera.coding is not None:
-        return fit_cylinder(profile, ideal_lens(camera), size), None
-    coded = fit_coded_cylinder(values, saturation, ideal_lens(camera), size)
-    return coded.fit, (coded.gamma, coded.gamma_sigma)
 
 
 def _check_gaps(gaps: BoolArray, profile: CylinderProfile) -> None:

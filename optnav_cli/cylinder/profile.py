@@ -128,7 +128,7 @@ def measure_profile(values: Float32Array, saturation: float | None) -> CylinderP
     )
 
 
-def seed_extent(profile: CylinderProfile) -> tuple[float, float]:
+def printed_extent(profile: CylinderProfile) -> tuple[float, float]:
     """Height of the tallest column and width of the lit area, px, as the printed formulas take."""
     if not profile.heights.size:
         raise NoSolutionError("the lit area is cut, so it has no height", ReasonCode.OUTSIDE_FRAME)

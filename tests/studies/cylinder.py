@@ -26,7 +26,7 @@ from optnav_cli.cylinder.geometry import (
     cylinder_sizes,
     grazing_of,
     lit_edges,
-    seed_distance_and_angle,
+    printed_distance_and_angle,
 )
 from optnav_cli.cylinder.job import (
     CylinderRow,
@@ -269,7 +269,7 @@ def _formula() -> list[tuple[Cell, ...]]:
     for degrees in FORMULA_DEG:
         left, right = lit_edges(math.radians(degrees), SIZE.radius_m, FORMULA_M)
         seen = SIZE.height_m / (FORMULA_M - SIZE.radius_m), right - left
-        _, theta = seed_distance_and_angle(*seen, SIZE)
+        _, theta = printed_distance_and_angle(*seen, SIZE)
         limb = math.asin(SIZE.radius_m / FORMULA_M)
         beta = limb - (right - left)
         exact = 0.5 * math.pi + math.asin(FORMULA_M / SIZE.radius_m * math.sin(beta)) - beta

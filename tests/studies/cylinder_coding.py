@@ -68,7 +68,7 @@ def _trial(rng: np.random.Generator, band: int, curves: tuple[Curve, Curve]) -> 
     camera = preset_camera(CAMERA)
     counts = coded_picture(camera, place, curves[0], rng)
     lens = IdealLens(*(camera.focal_length_px,) * 2, *camera.principal_point_px)
-    coded = fit_coded_cylinder(counts, FULL, lens, SIZE)
+    coded = fit_coded_cylinder(counts, FULL, measure_profile(counts, FULL), lens, SIZE)
     light = FULL * curves[1](counts.astype(np.float64) / FULL)
     known = fit_cylinder(measure_profile(light.astype(np.float32), FULL), lens, SIZE)
     off = (coded.fit.theta - theta + math.pi) % (2.0 * math.pi) - math.pi

@@ -14,11 +14,11 @@ from optnav_cli.cylinder.geometry import (
     bearing_of,
     half_width,
     lit_edges,
+    printed_distance_and_angle,
     psi_of,
-    seed_distance_and_angle,
     surface_distance,
 )
-from optnav_cli.cylinder.profile import measure_profile, seed_extent
+from optnav_cli.cylinder.profile import measure_profile, printed_extent
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
@@ -55,7 +55,7 @@ def test_the_printed_formula_gives_31_degrees_for_a_full_face() -> None:
     distance = 1.34
     left, right = lit_edges(0.0, RADIUS, distance)
     height = HEIGHT / (distance - RADIUS)
-    d_m, theta = seed_distance_and_angle(height, right - left, SIZE)
+    d_m, theta = printed_distance_and_angle(height, right - left, SIZE)
     assert d_m == pytest.approx(1.2)
     assert math.degrees(theta) == pytest.approx(31.4, abs=0.1)
 
@@ -65,13 +65,13 @@ def test_the_printed_formula_gives_what_exact_widths_make_of_it(
     theta: float, printed: float
 ) -> None:
     left, right = lit_edges(math.radians(theta), RADIUS, 1.34)
-    _, found = seed_distance_and_angle(HEIGHT / 1.2, right - left, SIZE)
+    _, found = printed_distance_and_angle(HEIGHT / 1.2, right - left, SIZE)
     assert math.degrees(found) == pytest.approx(printed, abs=0.1)
 
 
 def test_the_printed_formula_says_where_it_has_no_angle() -> None:
     with pytest.raises(NoSolutionError, match="has no angle"):
-        seed_distance_and_angle(HEIGHT / 1.2, 0.5, SIZE)
+        printed_distance_and_angle(HEIGHT / 1.2, 0.5, SIZE)
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_a_picture_out_of_focus_is_refused() -> None:
 
 def test_the_printed_formulas_are_not_given_a_width_that_is_cut() -> None:
     with pytest.raises(NoSolutionError, match="has no width"):
-        seed_extent(measure_profile(seen(1.34, 0.17, 20.0), 255.0))
+        printed_extent(measure_profile(seen(1.34, 0.17, 20.0), 255.0))
 
 
 def test_a_sphere_is_not_taken_for_a_cylinder() -> None:
