@@ -139,8 +139,12 @@ def reopen_raster(path: Path, drivers: tuple[str, ...]) -> Any:
 def _no_traceback_of_texts() -> Iterator[None]:
     """Keep quiet what rasterio prints where words of GDAL hold a file's text that is not UTF-8.
 
-    It cannot raise from within GDAL, and prints the error by the interpreter's hooks instead.
+    It cannot raise from within GDAL, and prints the error by the interpreter's hooks instead. Those
+    are the process's: other threads, which open again what the main one has opened, leave them.
     """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     printing, unraisable = sys.excepthook, sys.unraisablehook
 
     def print_others(kind: type[BaseException], error: BaseException, trace: Any) -> None:
