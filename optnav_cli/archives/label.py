@@ -23,14 +23,13 @@ from optnav_cli.archives.pds4_label import find_elements, read_elements
 from optnav_cli.archives.vicar_label import BEGINNING as VICAR_BEGINNING
 from optnav_cli.archives.vicar_label import read_pairs
 from optnav_cli.frames.fits_cards import CARD, read_cards
-from optnav_cli.frames.fits_picture import fits_headers
+from optnav_cli.frames.fits_picture import BLOCK, fits_headers
 
 LabelFormat = Literal["fits", "pds3", "pds4", "vicar", "settings"]
 Values = dict[str, tuple[str, ...]]
 
 MAX_LABEL = MEGABYTE
 MAX_NUMBER = 1e18  # km of a far star
-_BLOCK = 2880
 # Without these values stand for one that is missing (PDS Standards Reference 3.8, section 17.2).
 _NOT_STATED = ("", "-", "N/A", "NA", "UNK", "NULL", "NOT APPLICABLE", "NOT_APPLICABLE", "UNKNOWN")
 # An SFDU head goes before, or stands instead of, the version; NJPL is that of the first archives.
@@ -199,7 +198,7 @@ def _header_bytes(path: Path, raw: bytes) -> int:
     """Where the header of a FITS file ends."""
     for start in range(0, min(len(raw), MAX_LABEL), CARD):
         if raw[start : start + 8] == b"END     ":
-            return (start // _BLOCK + 1) * _BLOCK
+            return (start // BLOCK + 1) * BLOCK
     raise DataError(f"{path}: its FITS header has no end; get the file again")
 
 
