@@ -11,10 +11,10 @@ import pytest
 from optnav_cli.main import run as optnav
 from tests.optnav_cli.orbit.fit.flights import flight, write_run
 
-CHECKOUT = Path(__file__).resolve().parents[3]
+CHECKOUT = Path(__file__).resolve().parents[4]
 # The last file of a folder is its manifest: all others are there by then.
 KILLED = (
-    "import os, sys; from optnav_cli.runs import {0} as module; "
+    "import os, sys; from optnav_cli.orbit.{0} import job as module; "
     "module.write_manifest = lambda *a, **k: os.kill(os.getpid(), 9); "
     "from optnav_cli.main import run; sys.exit(run(sys.argv[1:]))"
 )
@@ -32,10 +32,10 @@ LANDING = (
 @pytest.mark.parametrize(
     ("module", "command", "settings"),
     [
-        ("orbit_folder", ("orbit", "fit", "run", "--config"), FIT),
-        ("qso_folder", ("orbit", "qso"), QSO),
-        ("landing_folder", ("orbit", "landing"), LANDING),
-        ("delivery_folder", ("orbit", "delivery"), "bundled:delivery_moon_optical"),
+        ("fit", ("orbit", "fit", "run", "--config"), FIT),
+        ("qso", ("orbit", "qso"), QSO),
+        ("landing", ("orbit", "landing"), LANDING),
+        ("delivery", ("orbit", "delivery"), "bundled:delivery_moon_optical"),
     ],
 )
 def test_a_killed_command_leaves_nothing_and_the_same_one_succeeds(
