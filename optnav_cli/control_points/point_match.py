@@ -149,11 +149,8 @@ def match_point(
 
     sun_body (3,) unit vector, body frame
     """
-    level, search_nodes, blur_nodes = plan.level, plan.search_nodes, plan.blur_nodes
-    margin, step = MARGIN_NODES, thinning(blur_nodes)
-    if blur_nodes:
-        margin = int(np.ceil(MARGIN_NODES * step))
-        search_nodes = max(search_nodes, int(np.ceil(MIN_ROOM * step)))
+    level, blur_nodes, step = plan.level, plan.blur_nodes, thinning(plan.blur_nodes)
+    margin, search_nodes = _borders(plan)
     posting = reference.patches[level].posting_m
     border = search_nodes + margin
     heights = reference.heights(level, plan.template_nodes + 2 * border)
@@ -165,7 +162,7 @@ def match_point(
     surface = reference.surface(level, heights)
     camera_from_body = pose.turn
     pixels = camera.project_from_body(surface, pose.position_m, camera_from_body)
-    window = sampled = picture.sample(pixels, posting / plan.metres_per_pixel)
+    window = shown = sampled = picture.sample(pixels, posting / plan.metres_per_pixel)
     if plan.soft_nodes:
         window = low_pass(window, plan.soft_nodes)
     known, _ = _shares(sampled, border)
@@ -173,12 +170,13 @@ def match_point(
         return PointMatch(level, OUTSIDE)
     lens_px = blur_px(camera)
     template = as_seen(sharp, pixels, lens_px)
+    even = plan.template_nodes % 2 == 0
     if blur_nodes:
-        even = plan.template_nodes % 2 == 0
-        template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
+        template = thinned(template, blur_nodes, even)
+        window = shown = thinned(window, blur_nodes, even)
     rendered = template
     template, match = _found(template, window, plan, matcher)
-    samples = 0.0
+    samples, at_nodes = 0.0, match
     if blur_nodes:
         samples = _common_nodes(template, window, match) / nodes_a_sample(blur_nodes / step)
         # A template behind a blur of s nodes has few independent samples, too few for a spectrum of
@@ -205,13 +203,10 @@ def match_point(
         scores = at.score, at.runner_up
         return PointMatch(level, reason, expected + shift, covariance, offset, *scores, part)
 
-    smooth_too = blur_nodes or not gates.refuse_smooth
-    laid = (
-        None
-        if smooth_too
-        else (laid_at(sampled, rendered, match), laid_at(pixels, rendered, match))
-    )
-    found = _without_smooth(placed(match), laid, picture.count_step)
+    found = placed(match)
+    if gates.refuse_smooth and not found.reason:
+        grid = thin_pixels(pixels, blur_nodes, even)
+        found = _refuse_smooth(found, rendered, at_nodes, shown, grid, picture.count_step)
     least = MIN_ALBEDO_POSTING_M if level else MIN_FINEST_ALBEDO_POSTING_M
     coarse = posting >= least and not (blur_nodes or plan.interim or plan.soft_nodes)
     if found.reason or not coarse or template is not rendered:
@@ -225,14 +220,38 @@ def match_point(
     return replace(found, albedo=AlbedoFit(lay, placed))
 
 
-def _without_smooth(
-    found: PointMatch, laid: tuple[Float32Array, FloatArray] | None, count_step: float
-) -> PointMatch:
-    """A match, refused where the picture shows no ground under the template and its margin.
+def _borders(plan: SearchPlan) -> tuple[int, int]:
+    """Compute the margin of a template and the room of its search, nodes before the thinning."""
+    if not plan.blur_nodes:
+        return MARGIN_NODES, plan.search_nodes
+    step = thinning(plan.blur_nodes)
+    room = max(plan.search_nodes, int(np.ceil(MIN_ROOM * step)))
+    return int(np.ceil(MARGIN_NODES * step)), room
 
-    laid  what `shows_ground` takes: the picture and its pixels there; None: not to be asked
+
+def thin_pixels(pixels: FloatArray, blur_nodes: float, even: bool) -> FloatArray:
+    """Compute where the nodes kept behind a blur lie, from pixels (n, n, 2) of all nodes."""
+    if not blur_nodes:
+        return pixels
+    axes = (thinned(pixels[..., k].astype(np.float32), blur_nodes, even) for k in (0, 1))
+    return np.stack(list(axes), axis=-1).astype(np.float64)
+
+
+def _refuse_smooth(
+    found: PointMatch,
+    template: Float32Array,
+    match: Match,
+    shown: Float32Array,
+    pixels: FloatArray,
+    count_step: float,
+) -> PointMatch:
+    """Refuse a match where the picture shows no ground under the template and its margin.
+
+    template (n, n)  and where it was found, in nodes that are kept
+    shown (m, m), pixels (m, m, 2)  of the picture on these nodes, and where they lie in it
     """
-    if found.reason or laid is None or shows_ground(*laid, MARGIN_NODES, count_step):
+    laid = laid_at(shown, template, match), laid_at(pixels, template, match)
+    if shows_ground(*laid, MARGIN_NODES, count_step):
         return found
     return replace(found, reason=SMOOTH)
 

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from catalog.correlation.ncc import thinned
+from optnav_cli.control_points.point_match import thin_pixels
 from optnav_cli.control_points.smoothness import find_count_step, shows_ground
 from tests.studies.smooth_pictures import BITS, KINDS, draw_smooth_picture
 
@@ -82,3 +84,23 @@ def test_the_step_of_counts_is_their_greatest_common_divisor():
     assert find_count_step((16 * counts).astype(np.float32)) == 16.0
     assert find_count_step((counts + 0.5).astype(np.float32)) == 0.0
     assert find_count_step(np.full((5, 5), 7.0, np.float32)) == 0.0
+
+
+@pytest.mark.parametrize("blur_nodes", [0.6, 2.0, 3.3])
+@pytest.mark.parametrize("side", [96, 97])
+def test_behind_a_blur_a_smooth_picture_is_no_ground_and_ground_is(blur_nodes, side):
+    """Thinned nodes lie where the thinned picture has them: linear pixels stay linear."""
+    side += int(16 * blur_nodes)
+    even = side % 2 == 0
+    pixels = 0.7 * plain(side) + [100.0, 150.0]
+    kept = thin_pixels(pixels, blur_nodes, even)
+    middle = len(kept) // 2
+    step = kept[middle, middle] - kept[middle - 1, middle - 1]
+    np.testing.assert_allclose(step, 0.7 * max(1.0, blur_nodes), rtol=1e-4)
+    relief = ground(side, 1.0) - 100.0
+    seen = pixels + 3.0 * relief[..., None] * [1.0, 0.7]
+    x, y = seen[..., 0], seen[..., 1]
+    smooth = (0.01 * (x - 180.0) ** 2 + 0.004 * x * y).astype(np.float32)
+    for patch, shown in ((smooth, False), (ground(side, 30.0), True)):
+        thin = thinned(patch, blur_nodes, even)
+        assert shows_ground(thin, thin_pixels(seen, blur_nodes, even), MARGIN, 0.0) is shown
