@@ -20,7 +20,7 @@ from optnav_cli.orbit.landing.settings import LANDING_KIND
 from optnav_cli.orbit.qso.page import qso_page, qso_sheet
 from optnav_cli.orbit.qso.settings import QSO_KIND
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.points.plots import is_picked, picked_sheet
+from optnav_cli.points.plots import draw_picked_sheet, is_picked
 from optnav_cli.report import page, sheet
 from optnav_cli.report.catalog_page import catalog_page
 from optnav_cli.report.error_plots import error_sheet
@@ -73,7 +73,7 @@ def _write(source: Path, output: Path) -> None:
         run = read_run(source)
         if not any(solution.solved for solution in run.solutions):
             raise DataError(f"{source}: no frame is solved, so there is nothing to draw")
-        draw_run = picked_sheet if is_picked(run) else error_sheet
+        draw_run = draw_picked_sheet if is_picked(run) else error_sheet
         sheet.write_sheet(draw_run(run), output)
         return
     if source.is_dir():

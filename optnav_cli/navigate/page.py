@@ -23,7 +23,7 @@ from optnav_cli.navigate.descent.plots import descent_plots, is_descent
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.run_folder import COMMON_CSV, COMMON_JSON, RunFolder, read_run
 from optnav_cli.output.tables import fixed
-from optnav_cli.points.plots import is_picked, picked_plots
+from optnav_cli.points.plots import is_picked, plot_picked_points
 from optnav_cli.report import page as html
 from optnav_cli.report.error_plots import error_plots
 from optnav_cli.report.ground_map import ground_plot
@@ -184,7 +184,7 @@ def run_page(folder: Path) -> str:
             sections.append(html.section("Over the height", *_descent(run)))
         sections.append(html.section("On the ground", ground_plot(run)))
     if is_picked(run):
-        sections.append(html.section("Picked points", *picked_plots(run)))
+        sections.append(html.section("Picked points", *plot_picked_points(run)))
     elif any(match.measured_px is not None for match in run.matches):
         sections.append(html.section("Control points", *residual_plots(run), _refusals(run)))
     frames = html.section("Frames", _frames(run.solutions))

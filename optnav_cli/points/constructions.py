@@ -44,31 +44,34 @@ class Picks:
     half_side: float
 
 
-def homography(image: FloatArray, plane: FloatArray) -> FloatArray:
-    """The matrix (3, 3) that takes points (n, 2) to points (n, 2) of a plane; n is 4 or more.
+def fit_homography(image: FloatArray, plane: FloatArray) -> FloatArray:
+    """Fit the matrix (3, 3) that takes points (n, 2) to points (n, 2) of a plane; n is 4 or more.
 
     By the singular vector of the 2n x 9 system of Hartley and Zisserman (2004), ch. 4, in
     coordinates of unit size.
     """
-    (a, from_image), (b, from_plane) = _unit_size(image), _unit_size(plane)
-    one = np.column_stack([a, np.ones(len(a))])
-    zero = np.zeros_like(one)
+    (a, from_image), (b, from_plane) = _normalise_points(image), _normalise_points(plane)
+    homogeneous = np.column_stack([a, np.ones(len(a))])
+    zero = np.zeros_like(homogeneous)
     rows = np.concatenate(
-        [np.hstack([one, zero, -one * b[:, :1]]), np.hstack([zero, one, -one * b[:, 1:]])]
+        [
+            np.hstack([homogeneous, zero, -homogeneous * b[:, :1]]),
+            np.hstack([zero, homogeneous, -homogeneous * b[:, 1:]]),
+        ]
     )
-    found: FloatArray = np.linalg.inv(from_plane) @ np.linalg.svd(rows)[2][-1].reshape(3, 3)
-    return found @ from_image
+    matrix: FloatArray = np.linalg.inv(from_plane) @ np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    return matrix @ from_image
 
 
-def through(matrix: FloatArray, points: FloatArray) -> FloatArray:
-    """Points (n, 2) that a homography takes points (n, 2) to."""
-    found = np.column_stack([points, np.ones(len(points))]) @ matrix.T
-    placed: FloatArray = found[:, :2] / found[:, 2:]
-    return placed
+def apply_homography(matrix: FloatArray, points: FloatArray) -> FloatArray:
+    """Project points (n, 2) by a homography."""
+    projected = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+    points_plane: FloatArray = projected[:, :2] / projected[:, 2:]
+    return points_plane
 
 
-def by_circles(picks: Picks, ground: CircleGround = "tangent") -> FloatArray:
-    """The camera's place (3,), m, from two circles in the plane of the main vertical.
+def locate_by_circles(picks: Picks, ground: CircleGround = "tangent") -> FloatArray:
+    """Locate the camera (3,), m, by two circles in the plane of the main vertical.
 
     ground  map: latitude and longitude are the map; the ends of the chords are put on the sphere,
             and the plane is that of the far ones and the local vertical, as the source prints it;
@@ -81,68 +84,70 @@ def by_circles(picks: Picks, ground: CircleGround = "tangent") -> FloatArray:
         text = f"circles need {MIN_CIRCLE_POINTS} points; there are {len(picks.image)}"
         raise NoSolutionError(text, ReasonCode.FEW_POINTS)
     if ground == "map":
-        return _by_map(picks)
+        return _locate_on_map(picks)
     base = picks.places_m.mean(axis=0)
     lat, lon, _ = latlon_from_xyz(base)
     axes = body_from_local(float(lat), float(lon))
     local = (picks.places_m - base) @ axes
-    camera = _above(homography(picks.image, local[:, :2]), picks.half_side)
+    camera = _locate_above_plane(fit_homography(picks.image, local[:, :2]), picks.half_side)
     if ground == "tangent":
         for _ in range(MAX_ROUNDS):
             share = local[:, 2] / (camera[2] - local[:, 2])
             flat = local + (local - camera) * share[:, None]
             last = camera
-            camera = _above(homography(picks.image, flat[:, :2]), picks.half_side)
+            camera = _locate_above_plane(fit_homography(picks.image, flat[:, :2]), picks.half_side)
             if np.linalg.norm(camera - last) < SETTLED * np.linalg.norm(camera):
                 break
-    found: FloatArray = base + axes @ camera
-    return found
+    position: FloatArray = base + axes @ camera
+    return position
 
 
-def _by_map(picks: Picks) -> FloatArray:
-    """The camera's place (3,) where a homography leads to latitude and longitude.
+def _locate_on_map(picks: Picks) -> FloatArray:
+    """Locate the camera (3,) where a homography leads to latitude and longitude.
 
     The ground bulges by 50 m in a narrow picture from 420 km, and the map does not: without any
     other error the place is 4 km off horizontally and 16 km in height.
     """
     lat, lon, radius = latlon_from_xyz(picks.places_m)
     middle = float(np.angle(np.exp(1j * lon).mean()))
-    away = np.angle(np.exp(1j * (lon - middle)))
-    matrix = homography(picks.image, np.column_stack([lat, away]))
+    lon_offsets = np.angle(np.exp(1j * (lon - middle)))
+    matrix = fit_homography(picks.image, np.column_stack([lat, lon_offsets]))
 
-    def placed(image: FloatArray) -> FloatArray:
-        north, east = through(matrix, image).T
+    def project_to_ground(image: FloatArray) -> FloatArray:
+        north, east = apply_homography(matrix, image).T
         return xyz_from_latlon(north, east + middle, np.full(len(image), radius.mean()))
 
-    under = placed(np.zeros((1, 2)))[0]
+    under = project_to_ground(np.zeros((1, 2)))[0]
     angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE_STEPS, endpoint=False)
     circle = picks.half_side * np.column_stack([np.cos(angle), np.sin(angle)])
-    ground = placed(circle)
+    ground = project_to_ground(circle)
     top = int(np.argmax(np.linalg.norm(ground - under, axis=1)))
     far, near = ground[top], ground[(top + CIRCLE_STEPS // 2) % CIRCLE_STEPS]
     along = unit(far - near)
     up = unit(under - (under @ along) * along)
     axes = np.array([along, up])
     a, b, c = ((point - under) @ axes.T for point in (far, under, near))
-    centres = np.array([_centre(a, b, picks.half_side), _centre(b, c, picks.half_side)])
+    centres = np.array(
+        [_find_circle_centre(a, b, picks.half_side), _find_circle_centre(b, c, picks.half_side)]
+    )
     line = (centres[1] - centres[0]) / np.linalg.norm(centres[1] - centres[0])
     foot = centres[0] + ((b - centres[0]) @ line) * line
-    found: FloatArray = under + (2.0 * foot - b) @ axes
-    return found
+    position: FloatArray = under + (2.0 * foot - b) @ axes
+    return position
 
 
-def _centre(one: FloatArray, other: FloatArray, half_side: float) -> FloatArray:
-    """Centre (2,) of the circle from which a chord is seen under atan(half_side), above it."""
-    chord = other - one
+def _find_circle_centre(first: FloatArray, second: FloatArray, half_side: float) -> FloatArray:
+    """Find the centre (2,) of the circle from which a chord is seen under atan(half_side)."""
+    chord = second - first
     normal = np.array([-chord[1], chord[0]])
     normal = normal if normal[1] > 0.0 else -normal
     # of length |chord|, so that the distance is |chord| / (2 tan alpha)
-    centre: FloatArray = 0.5 * (one + other) + normal / (2.0 * half_side)
+    centre: FloatArray = 0.5 * (first + second) + normal / (2.0 * half_side)
     return centre
 
 
-def by_tori(picks: Picks, start_m: FloatArray) -> FloatArray:
-    """The camera's place (3,), m, from the angles between the three points that stand widest.
+def locate_by_tori(picks: Picks, start_m: FloatArray) -> FloatArray:
+    """Locate the camera (3,), m, by the angles between the three points that stand widest.
 
     Newton's method from a start (3,), to the nearest of up to four places.
     Raises NoSolutionError for fewer than three points and where it does not settle.
@@ -150,12 +155,12 @@ def by_tori(picks: Picks, start_m: FloatArray) -> FloatArray:
     if len(picks.image) < MIN_TORUS_POINTS:
         text = f"tori need {MIN_TORUS_POINTS} points; there are {len(picks.image)}"
         raise NoSolutionError(text, ReasonCode.FEW_POINTS)
-    some = list(_widest_three(picks.image))
+    some = list(_choose_widest_three(picks.image))
     rays = np.column_stack([picks.image[some], np.ones(3)])
-    angles = _angles(rays)
+    angles = _compute_angles(rays)
     places, camera = picks.places_m[some], start_m
     for _ in range(MAX_NEWTON):
-        seen, by_place = _angles_from(places, camera)
+        seen, by_place = _linearise_angles(places, camera)
         try:
             step = np.linalg.solve(by_place, angles - seen)
         except np.linalg.LinAlgError:
@@ -169,14 +174,14 @@ def by_tori(picks: Picks, start_m: FloatArray) -> FloatArray:
     raise NoSolutionError("the tori do not meet near the start", ReasonCode.NOT_SETTLED)
 
 
-def covariance_of(
+def propagate_covariance(
     construct: Callable[[Picks], FloatArray],
     picks: Picks,
     sigma_image: FloatArray,
     sigma_m: FloatArray,
     lens: tuple[float, float],
 ) -> FloatArray:
-    """Covariance (3, 3), m^2, of a constructed place, by differences.
+    """Propagate errors of picks and lens to the covariance (3, 3), m^2, of a constructed place.
 
     sigma_image, sigma_m  (n,) of the points in the plane at distance 1, and of the places
     lens                  relative error of the focal length; of the principal point, as sigma_image
@@ -205,8 +210,8 @@ def covariance_of(
     return columns.T @ columns
 
 
-def pose_at(place_m: FloatArray, picks: Picks) -> Pose:
-    """The attitude from which a camera at a place (3,) sees the points best."""
+def fit_attitude_at(place_m: FloatArray, picks: Picks) -> Pose:
+    """Fit the attitude from which a camera at a place (3,) sees the points best."""
     rays = np.column_stack([picks.image, np.ones(len(picks.image))])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     sights = picks.places_m - place_m
@@ -215,20 +220,20 @@ def pose_at(place_m: FloatArray, picks: Picks) -> Pose:
     return Pose(place_m, turn)
 
 
-def _above(matrix: FloatArray, half_side: float) -> FloatArray:
-    """The camera (3,) over the plane: east, north and up of its origin."""
+def _locate_above_plane(matrix: FloatArray, half_side: float) -> FloatArray:
+    """Locate the camera (3,) over the plane: east, north and up of its origin."""
     angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE_STEPS, endpoint=False)
     circle = half_side * np.column_stack([np.cos(angle), np.sin(angle)])
-    middle = through(matrix, np.zeros((1, 2)))[0]
-    away = np.linalg.norm(through(matrix, circle) - middle, axis=1)
-    top = int(np.argmax(away))
-    before, highest, after = away[top - 1], away[top], away[(top + 1) % CIRCLE_STEPS]
+    middle = apply_homography(matrix, np.zeros((1, 2)))[0]
+    distances = np.linalg.norm(apply_homography(matrix, circle) - middle, axis=1)
+    top = int(np.argmax(distances))
+    before, highest, after = distances[top - 1], distances[top], distances[(top + 1) % CIRCLE_STEPS]
     # between steps by a parabola: a quarter of a degree here turns the camera by a kilometre
     bend = before - 2.0 * highest + after
     share = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
     direction = angle[top] + share * (angle[1] - angle[0])
     ends = half_side * np.array([np.cos(direction), np.sin(direction)])
-    far, near = through(matrix, np.array([ends, -ends]))
+    far, near = apply_homography(matrix, np.array([ends, -ends]))
     along = (far - middle) / np.linalg.norm(far - middle)
     alpha = np.arctan(half_side)
     # with the middle as origin: both chords begin there, so both circles go through it
@@ -242,8 +247,8 @@ def _above(matrix: FloatArray, half_side: float) -> FloatArray:
     return np.array([*(middle + x * along), up])
 
 
-def _unit_size(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) moved to their mean and scaled to unit size, and the matrix that does it."""
+def _normalise_points(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Move points (n, 2) to their mean, scale them to unit size; return also the matrix of that."""
     middle = points.mean(axis=0)
     scale = 1.0 / float(np.sqrt(((points - middle) ** 2).sum(axis=1).mean() / 2.0))
     matrix = np.diag([scale, scale, 1.0])
@@ -251,8 +256,8 @@ def _unit_size(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return (points - middle) * scale, matrix
 
 
-def _widest_three(image: FloatArray) -> tuple[int, int, int]:
-    """Indices of the three points whose triangle is largest, of the outer ones."""
+def _choose_widest_three(image: FloatArray) -> tuple[int, int, int]:
+    """Choose the three outer points whose triangle is largest, by index."""
     out = np.linalg.norm(image - image.mean(axis=0), axis=1)
     outer = sorted(int(i) for i in np.argsort(-out)[:12])
 
@@ -264,20 +269,20 @@ def _widest_three(image: FloatArray) -> tuple[int, int, int]:
     return a, b, c
 
 
-def _angles(rays: FloatArray) -> FloatArray:
-    """Angles (3,) between three rays (3, 3): of the first two, the last two, the outer two."""
+def _compute_angles(rays: FloatArray) -> FloatArray:
+    """Compute the angles (3,) between three rays (3, 3): first two, last two, outer two."""
     others = np.roll(rays, -1, axis=0)
     crossed = np.linalg.norm(np.cross(rays, others), axis=1)
-    found: FloatArray = np.arctan2(crossed, (rays * others).sum(axis=1))
-    return found
+    angles: FloatArray = np.arctan2(crossed, (rays * others).sum(axis=1))
+    return angles
 
 
-def _angles_from(places_m: FloatArray, camera_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The same between places (3, 3) from a camera, and derivatives (3, 3) by its place."""
+def _linearise_angles(places_m: FloatArray, camera_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute the angles between places (3, 3) from a camera; derivatives (3, 3) by its place."""
     sights = places_m - camera_m
     distances = np.linalg.norm(sights, axis=1, keepdims=True)
     rays = sights / distances
-    angles = _angles(rays)
+    angles = _compute_angles(rays)
     others, far = np.roll(rays, -1, axis=0), np.roll(distances, -1, axis=0)
     cosine = np.cos(angles)[:, None]
     by_cosine = -(others - cosine * rays) / distances - (rays - cosine * others) / far

@@ -15,7 +15,7 @@ from optnav_cli.reasons import ReasonCode
 
 @dataclass(frozen=True)
 class LensPrior:
-    """What a lens may be off by, 1 sigma.
+    """Errors of a lens, 1 sigma.
 
     focal       relative, of the focal length;  centre_px  of the principal point, a coordinate
     middle_px   (2,) the stated principal point
@@ -57,18 +57,20 @@ class PickedSightings:
         return len(self.places_m)
 
     def subset(self, some: BoolArray) -> "PickedSightings":
-        """Those of a mask (n,)."""
+        """Return the points of a mask (n,)."""
         return PickedSightings(
             self.places_m[some], self.pixels[some], self.sigma_px[some], self.sigma_m[some]
         )
 
     def sightings(self, camera: ProjectingCamera, pose: Pose) -> Sightings:
-        """With the error of each place as the camera sees it from a pose, px."""
+        """Return sightings with the error of each place as the camera sees it from a pose, px."""
         _, jacobian = predict(camera, pose, self.places_m)
         by_place = jacobian[:, :, :3]
         seen = by_place @ by_place.transpose(0, 2, 1)
-        own = np.eye(2) * (self.sigma_px**2)[:, None, None]
-        return Sightings(self.places_m, self.pixels, own + seen * (self.sigma_m**2)[:, None, None])
+        by_pixel = np.eye(2) * (self.sigma_px**2)[:, None, None]
+        return Sightings(
+            self.places_m, self.pixels, by_pixel + seen * (self.sigma_m**2)[:, None, None]
+        )
 
 
 class LensPoints:
@@ -135,8 +137,8 @@ def lens_numbers(state: LensPose, lens: LensPrior) -> FloatArray:
     return np.array([state.focal] * (lens.focal > 0.0) + shift)
 
 
-def estimated_lens(state: LensPose, sigmas: FloatArray, lens: LensPrior) -> LensEstimate | None:
-    """The lens of a state with sigmas (k,) as `LensPrior.sigmas`; None for an exact one."""
+def make_lens_estimate(state: LensPose, sigmas: FloatArray, lens: LensPrior) -> LensEstimate | None:
+    """Return the lens of a state, sigmas (k,) as `LensPrior.sigmas`; None for an exact one."""
     if not sigmas.size:
         return None
     estimated = LensEstimate()
@@ -148,11 +150,11 @@ def estimated_lens(state: LensPose, sigmas: FloatArray, lens: LensPrior) -> Lens
     return replace(estimated, shift_px=(x, y), shift_sigma_px=(sigma_x, sigma_y))
 
 
-def moved_with_lens(state: LensPose, step: FloatArray, lens: LensPrior) -> LensPose:
-    """The state after a step (6 + k,): the pose, then what the lens is solved for."""
-    focal, shift, rest = state.focal, state.shift_px, step[6:]
+def move_with_lens(state: LensPose, step: FloatArray, lens: LensPrior) -> LensPose:
+    """Apply a step (6 + k,) to a state: the pose, then what the lens is solved for."""
+    focal, shift, remaining = state.focal, state.shift_px, step[6:]
     if lens.focal > 0.0:
-        focal, rest = focal + float(rest[0]), rest[1:]
+        focal, remaining = focal + float(remaining[0]), remaining[1:]
     if lens.centre_px > 0.0:
-        shift = shift + rest
+        shift = shift + remaining
     return LensPose(state.pose.moved(step[:6]), focal, shift)

@@ -43,13 +43,13 @@ class PickedFrame:
 
 def is_picked(run: RunFolder) -> bool:
     """Whether a run has frames solved by picked points."""
-    return bool(_frames(run))
+    return bool(_collect_frames(run))
 
 
-def picked_plots(run: RunFolder) -> list[Markup]:
-    """For the page: a map of the points and an ellipse for each of a few frames."""
-    frames = _frames(run)
-    drawn = [panel.plot.svg(panel.description) for row in _panels(frames) for panel in row]
+def plot_picked_points(run: RunFolder) -> list[Markup]:
+    """Plot a map of the points and an ellipse for each of a few frames, for the page."""
+    frames = _collect_frames(run)
+    drawn = [panel.plot.svg(panel.description) for row in _plot_panels(frames) for panel in row]
     some = "" if len(frames) <= MAX_FRAMES else f" {MAX_FRAMES} of {len(frames)} frames."
     words = (
         "Left: picked points in the picture with their residuals, enlarged so that the median one "
@@ -60,13 +60,13 @@ def picked_plots(run: RunFolder) -> list[Markup]:
     return [figure(side_by_side("pair", drawn), words, keys)]
 
 
-def picked_sheet(run: RunFolder) -> str:
-    """The same as a picture that stands alone."""
-    return sheet("Picked points", LEGEND, _panels(_frames(run)))
+def draw_picked_sheet(run: RunFolder) -> str:
+    """Draw the plots as one picture (SVG) that stands alone."""
+    return sheet("Picked points", LEGEND, _plot_panels(_collect_frames(run)))
 
 
-def _frames(run: RunFolder) -> list[PickedFrame]:
-    found = []
+def _collect_frames(run: RunFolder) -> list[PickedFrame]:
+    frames = []
     for solution in run.solutions:
         points = [
             match
@@ -80,18 +80,18 @@ def _frames(run: RunFolder) -> list[PickedFrame]:
         if not isinstance(fix, Fix) or not points or camera is None:
             continue
         size = float(camera.width_px), float(camera.height_px)
-        found.append(PickedFrame(solution, fix, points, size))
-    return found
+        frames.append(PickedFrame(solution, fix, points, size))
+    return frames
 
 
-def _panels(frames: Sequence[PickedFrame]) -> list[list[Panel]]:
+def _plot_panels(frames: Sequence[PickedFrame]) -> list[list[Panel]]:
     count = min(len(frames), MAX_FRAMES)
     chosen = np.linspace(0, len(frames) - 1, count).round().astype(int)
-    return [[_map(frames[k]), _ellipse(frames[k])] for k in chosen]
+    return [[_plot_map(frames[k]), _plot_ellipse(frames[k])] for k in chosen]
 
 
-def _map(frame: PickedFrame) -> Panel:
-    """The points in the picture and their residuals."""
+def _plot_map(frame: PickedFrame) -> Panel:
+    """Plot the points in the picture and their residuals."""
     width, height = frame.size_px
     # rows of a picture count downwards
     axes = PlotAxis((0.0, width), "x, px"), PlotAxis((-height, 0.0), "-y, px")
@@ -104,19 +104,19 @@ def _map(frame: PickedFrame) -> Panel:
     for point, residual in zip(frame.points, residuals, strict=True):
         if point.measured_px is None:
             continue
-        place, drawn = point.measured_px * flip, residual * flip * scale
+        pixel, drawn = point.measured_px * flip, residual * flip * scale
         drawn = drawn * min(1.0, LONGEST * longer / max(float(np.hypot(*drawn)), 1e-9))
-        end = place + drawn
-        plot.line([place[0], end[0]], [place[1], end[1]], "s2")
+        end = pixel + drawn
+        plot.line([pixel[0], end[0]], [pixel[1], end[1]], "s2")
         series, shape, size = ("s1", "circle", 3.2) if point.used else ("s4", "cross", 5.0)
         words = f"{point.name} {point.reason}".strip()
-        plot.marks([place[0]], [place[1]], series, shape, size, [words])
+        plot.marks([pixel[0]], [pixel[1]], series, shape, size, [words])
     name = frame.solution.file
     return Panel(f"{name}, residuals x {scale:.0f}", plot, f"Picked points of {name}")
 
 
-def _ellipse(frame: PickedFrame) -> Panel:
-    """The error of the place, in the plane of the vertical and the line of sight."""
+def _plot_ellipse(frame: PickedFrame) -> Panel:
+    """Plot the error of the place, in the plane of the vertical and the line of sight."""
     up = unit(frame.fix.position_m)
     sight = np.mean([point.cp_position_m for point in frame.points], axis=0) - frame.fix.position_m
     level = sight - (sight @ up) * up

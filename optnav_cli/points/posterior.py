@@ -35,21 +35,21 @@ class PickedLikelihood:
     best: Estimate[LensPose]
 
     def covariance(self, mirror: Pose) -> FloatArray:
-        """Mean square (k, k) of the likely steps from the best pose, in the unknowns of the fit.
+        """Return the mean square (k, k) of likely steps from the best pose, in the fit's unknowns.
 
         mirror  the pose with the lean to the other side, from which the points are seen nearly so
         """
         stated = self.best.covariance[:3, :3]
         weak = np.linalg.eigh(stated)[1][:, 1:]
-        away = mirror.position_m - self.best.state.pose.position_m
-        middle = 0.5 * away @ weak
+        to_mirror = mirror.position_m - self.best.state.pose.position_m
+        middle = 0.5 * to_mirror @ weak
         half = np.abs(middle) + REACH_SIGMAS * np.sqrt(np.diag(weak.T @ stated @ weak))
-        basis, inner = self._others(weak)
+        basis, inner = self._split_unknowns(weak)
         line = np.linspace(-1.0, 1.0, SIDE)
         grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
         for _ in range(ZOOMS + 1):
             places = middle + grid * half
-            steps, costs = self._solved_at(places @ weak.T, basis, inner)
+            steps, costs = self._solve_at(places @ weak.T, basis, inner)
             likely = places[costs < self.best.cost + LIKELY]
             if len(likely) > ENOUGH * len(grid):
                 break
@@ -59,37 +59,37 @@ class PickedLikelihood:
             middle, half = 0.5 * (low + high), 0.5 * (high - low) + step
         share = np.exp(-0.5 * (costs - costs.min()))
         share /= share.sum()
-        found: FloatArray = (steps * share[:, None]).T @ steps + basis @ inner @ basis.T
-        return found
+        mean_square: FloatArray = (steps * share[:, None]).T @ steps + basis @ inner @ basis.T
+        return mean_square
 
-    def _others(self, weak: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The unknowns but for places along axes (3, 2): directions (k, k - 2), covariance."""
-        whole = np.zeros((2, len(self.best.covariance)))
-        whole[:, :3] = weak.T
-        directions = np.linalg.svd(whole)[2][2:].T
+    def _split_unknowns(self, weak: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return directions (k, k - 2) of the unknowns besides two axes (3, 2), and covariance."""
+        axes = np.zeros((2, len(self.best.covariance)))
+        axes[:, :3] = weak.T
+        directions = np.linalg.svd(axes)[2][2:].T
         normal = self._normal
         basis = directions / np.sqrt(np.einsum("ik,ij,jk->k", directions, normal, directions))
         return basis, np.linalg.inv(basis.T @ normal @ basis)
 
     @property
     def _normal(self) -> FloatArray:
-        found: FloatArray = np.sum([term.normal for term in self.best.terms], axis=0)
-        return found
+        total: FloatArray = np.sum([term.normal for term in self.best.terms], axis=0)
+        return total
 
-    def _solved_at(
+    def _solve_at(
         self, offsets_m: FloatArray, basis: FloatArray, inner: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Steps (m, k) to the best poses at offsets (m, 3) from the best place; costs (m,)."""
+        """Return steps (m, k) to the best poses at offsets (m, 3) of the place, and costs (m,)."""
         normal = self._normal
         steps = np.zeros((len(offsets_m), len(normal)))
         steps[:, :3] = offsets_m
         steps -= (steps @ normal @ basis) @ inner @ basis.T  # where a parabola has them
         for _ in range(ROUNDS):
-            steps += (self._at(steps)[0] @ basis) @ inner @ basis.T
-        return steps, self._at(steps)[1]
+            steps += (self._evaluate_at(steps)[0] @ basis) @ inner @ basis.T
+        return steps, self._evaluate_at(steps)[1]
 
-    def _at(self, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """J' W r (m, k), with J of the best pose, and costs (m,) after steps (m, k)."""
+    def _evaluate_at(self, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return J' W r (m, k), with J of the best pose, and costs (m,) after steps (m, k)."""
         state, measured = self.best.state, self.best.measured
         turns = Rotation.from_rotvec(steps[:, 3:6]) * state.pose.camera_from_body
         sights = self.points.places_m - (state.pose.position_m + steps[:, :3])[:, None]

@@ -31,8 +31,8 @@ from optnav_cli.points.model import (
     LensPrior,
     PickedSightings,
     StatedAttitude,
-    estimated_lens,
-    moved_with_lens,
+    make_lens_estimate,
+    move_with_lens,
 )
 from optnav_cli.points.posterior import PickedLikelihood
 from optnav_cli.reasons import Reason, ReasonCode
@@ -115,7 +115,7 @@ class PickedResection:
         return 4 if self.attitude is None else 2
 
     def solve(self, near: PickedPose | None = None) -> PickedPose:
-        """The pose that the points fit, blunders left out.
+        """Fit a pose to the points, blunders left out.
 
         near  a pose that they fitted from places that were little different
 
@@ -124,86 +124,86 @@ class PickedResection:
         """
         self._check_spread()
         if near is not None and near.fits:
-            again = self._without_blunders(near.used, near.pose)
+            again = self._fit_without_blunders(near.used, near.pose)
             if again is not None and again.fits:
                 return again
         everything = np.ones(len(self.points), dtype=bool)
-        best = self._without_blunders(everything)
+        best = self._fit_without_blunders(everything)
         if best is None or not best.fits:
-            best = self._from_samples(best)
+            best = self._fit_samples(best)
         if best is not None and not best.used.all() and len(self.points) <= MAX_LEFT_IN_TURN:
-            best = self._one_left_out(best)
+            best = self._try_leaving_one_out(best)
         if best is None:
             raise NoSolutionError("no pose fits the points", ReasonCode.POINTS_DISAGREE)
-        other = self.rival_of(best)
+        other = self.find_rival(best)
         # the start may have been on the wrong side of the points' plane
         return other if other is not None and other.cost < best.cost else best
 
-    def rival_of(self, found: PickedPose) -> PickedPose | None:
-        """Another pose that the points fit about as well: the plane of the points tilted over."""
+    def find_rival(self, picked: PickedPose) -> PickedPose | None:
+        """Find another pose that the points fit about as well, with their plane tilted over."""
         if self.attitude is not None:
             return None
-        start = _tilted_over(found.pose, self.points.places_m[found.used])
+        start = _make_mirror_pose(picked.pose, self.points.places_m[picked.used])
         try:
-            other = self._fitted(found.used, start, most=HOPELESS * (found.cost + RIVAL_COST))
+            other = self._fit(picked.used, start, most=HOPELESS * (picked.cost + RIVAL_COST))
         except NoSolutionError:
             return None
-        apart = other.pose.position_m - found.pose.position_m
-        covariance = found.position_covariance_m2 + other.position_covariance_m2
+        apart = other.pose.position_m - picked.pose.position_m
+        covariance = picked.position_covariance_m2 + other.position_covariance_m2
         if float(apart @ np.linalg.solve(covariance, apart)) < SAME_PLACE_SIGMAS**2:
             return None
-        return other if other.cost < found.cost + RIVAL_COST else None
+        return other if other.cost < picked.cost + RIVAL_COST else None
 
     @property
     def any_lens(self) -> "PickedResection":
-        """The same with a focal length of which nothing is stated."""
+        """The points with a focal length of which nothing is stated."""
         return replace(self, lens=replace(self.lens, focal=FREE_FOCAL))
 
-    def by_another_lens(self, found: PickedPose) -> PickedPose | None:
-        """The pose with a focal length that the points ask for against what is stated of it."""
-        if found.freedom <= 2:
+    def fit_another_lens(self, picked: PickedPose) -> PickedPose | None:
+        """Fit a focal length that the points ask for against what is stated of it."""
+        if picked.freedom <= 2:
             return None
         try:
             # weighted as the first fit is: a nearer pose makes more of the places' errors, and with
             # them a lower cost of any lens
-            other = self.any_lens._fitted(found.used, found.pose, rounds=1)
+            other = self.any_lens._fit(picked.used, picked.pose, rounds=1)
         except NoSolutionError:
             return None
-        return other if found.cost - other.cost > _quantile(FIT_PROBABILITY, 1) else None
+        return other if picked.cost - other.cost > _quantile(FIT_PROBABILITY, 1) else None
 
-    def with_all_leans(self, found: PickedPose) -> PickedPose:
-        """The same pose, its covariance widened by other leans that fit the points nearly as well.
+    def expand_over_leans(self, picked: PickedPose) -> PickedPose:
+        """Widen a pose's covariance by other leans that fit the points nearly as well.
 
         From nearly above, the curvature at the best pose tells less than half of the error.
         """
         if self.attitude is not None or len(self.points) < self.fewest:
-            return found
-        points = self.points.subset(found.used)
-        mirror = _tilted_over(found.pose, points.places_m)
-        away = mirror.position_m - found.pose.position_m
-        stated = found.position_covariance_m2
-        if float(away @ np.linalg.solve(stated, away)) > NEAR_MIRROR_SIGMAS**2:
-            return found
-        estimate = self._estimate(found.used, found.pose)
+            return picked
+        points = self.points.subset(picked.used)
+        mirror = _make_mirror_pose(picked.pose, points.places_m)
+        to_mirror = mirror.position_m - picked.pose.position_m
+        stated = picked.position_covariance_m2
+        if float(to_mirror @ np.linalg.solve(stated, to_mirror)) > NEAR_MIRROR_SIGMAS**2:
+            return picked
+        estimate = self._estimate(picked.used, picked.pose)
         wide = PickedLikelihood(self.camera, points, self.lens, estimate).covariance(mirror)
-        wider = wide[:6, :6] * _widening(found.cost, found.freedom)
-        return replace(found, covariance=wider)
+        wider = wide[:6, :6] * _estimate_inflation(picked.cost, picked.freedom)
+        return replace(picked, covariance=wider)
 
-    def of_three(self) -> list[PickedPose]:
-        """All poses, up to four, from which three points are seen so."""
+    def solve_three(self) -> list[PickedPose]:
+        """Find all poses, up to four, from which three points are seen so."""
         self._check_spread()
         everything = np.ones(len(self.points), dtype=bool)
-        found: list[PickedPose] = []
-        for start in self._three_starts():
+        poses: list[PickedPose] = []
+        for start in self._start_three():
             try:
-                pose = self._fitted(everything, start)
+                pose = self._fit(everything, start)
             except NoSolutionError:
                 continue
-            places = [other.pose.position_m for other in found]
+            places = [other.pose.position_m for other in poses]
             reach = np.linalg.norm(pose.pose.position_m - self.points.places_m[0])
             if all(np.linalg.norm(pose.pose.position_m - p) > 1e-6 * reach for p in places):
-                found.append(pose)
-        return found
+                poses.append(pose)
+        return poses
 
     def _check_spread(self) -> None:
         """Raise NoSolutionError where points are too few, or stand on a line."""
@@ -223,75 +223,77 @@ class PickedResection:
             text = "all points lie on a line: the camera may stand anywhere around it"
             raise NoSolutionError(text, ReasonCode.DEGENERATE)
 
-    def _without_blunders(self, used: BoolArray, start: Pose | None = None) -> PickedPose | None:
-        """The fit of some points, from which the worst goes while it is beyond its own gate."""
-        found: PickedPose | None = None
+    def _fit_without_blunders(
+        self, used: BoolArray, start: Pose | None = None
+    ) -> PickedPose | None:
+        """Fit some points; drop the worst point until all pass the gate."""
+        picked: PickedPose | None = None
         while used.sum() >= self.fewest:
             try:
                 start = self._start(used) if start is None else start
                 estimate = self._estimate(used, start)
             except (NoSolutionError, cv2.error):
-                return found
-            found = self._pose_of(estimate, used)
-            squares, gates = self._snooped(estimate, used)
+                return picked
+            picked = self._build_pose(estimate, used)
+            squares, gates = self._test_residuals(estimate, used)
             out = squares > gates
             # with nothing left over a wrong point cannot be told from the right ones
-            if not out.any() or found.freedom <= 2:
-                return self._with_returned(found)
+            if not out.any() or picked.freedom <= 2:
+                return self._restore_agreeing(picked)
             used = used.copy()
             used[np.flatnonzero(used)[np.argmax(squares / gates)]] = False
-            start = found.pose if found.cost < 1e4 * max(found.freedom, 1) else None
-        return found
+            start = picked.pose if picked.cost < 1e4 * max(picked.freedom, 1) else None
+        return picked
 
-    def _with_returned(self, found: PickedPose) -> PickedPose:
-        """The same with points that agree after all."""
-        if found.used.all():
-            return found
-        squares = self._squares(found.pose, found.residuals_px)
-        agreeing = found.used | (squares < _quantile(GATE_PROBABILITY, 2))
-        if (agreeing == found.used).all():
-            return found
+    def _restore_agreeing(self, picked: PickedPose) -> PickedPose:
+        """Restore points that agree with the fit of the others."""
+        if picked.used.all():
+            return picked
+        squares = self._compute_squares(picked.pose, picked.residuals_px)
+        agreeing = picked.used | (squares < _quantile(GATE_PROBABILITY, 2))
+        if (agreeing == picked.used).all():
+            return picked
         try:
-            estimate = self._estimate(agreeing, found.pose)
+            estimate = self._estimate(agreeing, picked.pose)
         except NoSolutionError:
-            return found
-        squares, gates = self._snooped(estimate, agreeing)
-        return found if (squares > gates).any() else self._pose_of(estimate, agreeing)
+            return picked
+        squares, gates = self._test_residuals(estimate, agreeing)
+        return picked if (squares > gates).any() else self._build_pose(estimate, agreeing)
 
-    def _from_samples(self, best: PickedPose | None) -> PickedPose | None:
-        """The best of fits that start from four points each, among many blunders."""
+    def _fit_samples(self, best: PickedPose | None) -> PickedPose | None:
+        """Fit from four points at a time, among many blunders; return the best."""
         gate = 9.0 * _quantile(GATE_PROBABILITY, 2)
         tried: list[tuple[int, float, Pose]] = []
-        for some in _samples(len(self.points), self.fewest):
+        for some in _draw_samples(len(self.points), self.fewest):
             used = np.zeros(len(self.points), dtype=bool)
             used[list(some)] = True
             try:
                 pose = self._start(used)
             except (NoSolutionError, cv2.error):
                 continue
-            squares = self._squares(pose)
+            squares = self._compute_squares(pose)
             inside = squares < gate
             tried.append((-int(inside.sum()), float(squares[inside].sum()), pose))
-        for count, _, pose in sorted(tried, key=lambda one: one[:2])[:3]:
+        for count, _, pose in sorted(tried, key=lambda attempt: attempt[:2])[:3]:
             if -count < self.fewest:
                 break
-            found = self._without_blunders(self._squares(pose) < gate, pose)
-            if found is not None and (
-                best is None or (found.fits, found.used.sum()) > (best.fits, best.used.sum())
+            picked = self._fit_without_blunders(self._compute_squares(pose) < gate, pose)
+            if picked is not None and (
+                best is None or (picked.fits, picked.used.sum()) > (best.fits, best.used.sum())
             ):
-                best = found
+                best = picked
         return best
 
-    def _squares(self, pose: Pose, off_px: FloatArray | None = None) -> FloatArray:
-        """Squares (n,) of residuals over their errors; of the camera's own lens, or those given."""
+    def _compute_squares(self, pose: Pose, off_px: FloatArray | None = None) -> FloatArray:
+        """Return squares (n,) of residuals over errors, by the stated lens unless given."""
         seen = self.points.sightings(self.camera, pose)
         if off_px is None:
             off_px = self.points.pixels - predict(self.camera, pose, self.points.places_m)[0]
         squares = np.einsum("ni,nij,nj->n", off_px, np.linalg.inv(seen.covariances_px2), off_px)
         return np.where(np.isfinite(squares), squares, np.inf)
 
-    def _one_left_out(self, best: PickedPose) -> PickedPose:
-        """The best fit with each point left out in turn, where few points stand against one.
+    def _try_leaving_one_out(self, best: PickedPose) -> PickedPose:
+        """Leave out each point in turn, where few points stand against one; return the best fit.
 
         A blunder among six may draw the fit to the other side of the points' plane.
         """
@@ -299,64 +301,64 @@ class PickedResection:
             used = np.ones(len(self.points), dtype=bool)
             used[number] = False
             try:
-                found = self._fitted(used, self._start(used))
+                picked = self._fit(used, self._start(used))
             except (NoSolutionError, cv2.error):
                 continue
-            other = self.rival_of(found)
-            if other is not None and other.cost < found.cost:
-                found = other
-            if (found.used.sum(), -found.cost) > (best.used.sum(), -best.cost):
-                best = found if found.fits else best
+            other = self.find_rival(picked)
+            if other is not None and other.cost < picked.cost:
+                picked = other
+            if (picked.used.sum(), -picked.cost) > (best.used.sum(), -best.cost):
+                best = picked if picked.fits else best
         return best
 
     def _start(self, used: BoolArray) -> Pose:
-        """A pose from some points without any guess. Raises NoSolutionError."""
+        """Compute a pose from some points without any guess. Raises NoSolutionError."""
         if self.attitude is not None:
             return self._start_by_rays(used, self.attitude.camera_from_body)
         before = used & (self.rays[:, 2] > MIN_DEPTH)
         if before.sum() < self.fewest:
             raise NoSolutionError("too few points stand before the camera", ReasonCode.FEW_POINTS)
-        places, middle, image = self._plain(before)
-        found, turns, shifts, _ = cv2.solvePnPGeneric(
+        places, middle, image = self._normalise_places(before)
+        solved, turns, shifts, _ = cv2.solvePnPGeneric(
             places, image, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
         )
-        if not found:
+        if not solved:
             raise NoSolutionError("no pose fits the points", ReasonCode.POINTS_DISAGREE)
-        return _pose_of_cv(turns[0], shifts[0], middle)
+        return _convert_pose(turns[0], shifts[0], middle)
 
     def _start_by_rays(self, used: BoolArray, turn: Rotation) -> Pose:
-        """Where rays of a known attitude through the points meet nearest."""
+        """Find where rays of a known attitude through the points meet nearest."""
         rays = turn.inv().apply(self.rays[used])
         across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
         places = self.points.places_m[used]
         normal, right = across.sum(axis=0), np.einsum("nij,nj->i", across, places)
         return Pose(np.linalg.solve(normal, right), turn)
 
-    def _three_starts(self) -> Iterator[Pose]:
+    def _start_three(self) -> Iterator[Pose]:
         if self.attitude is not None:
             yield self._start(np.ones(3, dtype=bool))
             return
-        places, middle, image = self._plain(np.ones(len(self.points), dtype=bool))
-        found, turns, shifts = cv2.solveP3P(places, image, np.eye(3), None, cv2.SOLVEPNP_P3P)
-        for number in range(found):
-            yield _pose_of_cv(turns[number], shifts[number], middle)
+        places, middle, image = self._normalise_places(np.ones(len(self.points), dtype=bool))
+        count, turns, shifts = cv2.solveP3P(places, image, np.eye(3), None, cv2.SOLVEPNP_P3P)
+        for number in range(count):
+            yield _convert_pose(turns[number], shifts[number], middle)
 
-    def _plain(self, used: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Places less their mean, that mean, and points of the plane at distance 1."""
+    def _normalise_places(self, used: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return places less their mean, that mean, and points of the plane at distance 1."""
         middle = self.points.places_m[used].mean(axis=0)
         rays = self.rays[used]
         return self.points.places_m[used] - middle, middle, rays[:, :2] / rays[:, 2:]
 
-    def _fitted(
+    def _fit(
         self, used: BoolArray, start: Pose, most: float = np.inf, rounds: int = 2
     ) -> PickedPose:
-        """The pose of `_estimate`."""
-        return self._pose_of(self._estimate(used, start, most, rounds), used)
+        """Fit some points, see `_estimate`."""
+        return self._build_pose(self._estimate(used, start, most, rounds), used)
 
     def _estimate(
         self, used: BoolArray, start: Pose, most: float = np.inf, rounds: int = 2
     ) -> Estimate[LensPose]:
-        """The fit of some points. Raises NoSolutionError.
+        """Estimate pose and lens from some points. Raises NoSolutionError.
 
         most    cost that ends it, see `Iteration.max_cost`
         rounds  of weighting: those of places hang on the distance, which is known after one
@@ -373,32 +375,32 @@ class PickedResection:
             if self.attitude is not None:
                 turn, sigma = self.attitude.camera_from_body, self.attitude.sigma_rad
                 models.append(StatedAttitude(turn, sigma, 6 + lens.sigmas.size))
-            estimate = solve(models, state, partial(moved_with_lens, lens=lens), iteration)
+            estimate = solve(models, state, partial(move_with_lens, lens=lens), iteration)
             state = estimate.state
         return estimate
 
-    def _pose_of(self, estimate: Estimate[LensPose], used: BoolArray) -> PickedPose:
+    def _build_pose(self, estimate: Estimate[LensPose], used: BoolArray) -> PickedPose:
         state = estimate.state
         pixels, _ = predict(self.camera, state.pose, self.points.places_m)
         middle = self.lens.middle_px
         predicted = middle + state.shift_px + (1.0 + state.focal) * (pixels - middle)
         cost, freedom = estimate.cost, estimate.degrees_of_freedom
-        covariance = estimate.covariance[:6, :6] * _widening(cost, freedom)
+        covariance = estimate.covariance[:6, :6] * _estimate_inflation(cost, freedom)
         left_px = self.points.pixels - predicted
-        sigmas = np.sqrt(np.diag(estimate.covariance)[6:] * _widening(cost, freedom))
-        lens = estimated_lens(state, sigmas, self.lens)
+        sigmas = np.sqrt(np.diag(estimate.covariance)[6:] * _estimate_inflation(cost, freedom))
+        lens = make_lens_estimate(state, sigmas, self.lens)
         return PickedPose(state.pose, covariance, used, left_px, cost, freedom, state.focal, lens)
 
-    def _snooped(
+    def _test_residuals(
         self, estimate: Estimate[LensPose], used: BoolArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Squares (n,) of residuals over what the fit leaves of each point's error; gates (n,)."""
+        """Return squares (n,) of residuals over the errors that the fit leaves them; gates (n,)."""
         measured = estimate.measured
-        own = np.linalg.inv(measured.weights)
+        variances = np.linalg.inv(measured.weights)
         by_state = measured.jacobian
-        left = own - by_state @ estimate.covariance @ by_state.transpose(0, 2, 1)
+        left = variances - by_state @ estimate.covariance @ by_state.transpose(0, 2, 1)
         # a point that alone fixes something leaves no residual along it: nothing to judge there
-        left += own * MIN_LEFT
+        left += variances * MIN_LEFT
         squares = np.einsum(
             "ni,nij,nj->n", measured.residuals, np.linalg.inv(left), measured.residuals
         )
@@ -408,16 +410,16 @@ class PickedResection:
 
 @lru_cache(maxsize=256)
 def _quantile(probability: float, freedom: int) -> float:
-    """Of chi-square; as scipy.stats says it, which takes as long to load as half of our code."""
+    """Quantile of chi-square, like scipy.stats, which takes as long to load as half of our code."""
     return float(2.0 * gammaincinv(freedom / 2.0, probability))
 
 
-def _widening(cost: float, freedom: int) -> float:
-    """Of a covariance: residuals wider than one in twenty say that sigmas are small."""
+def _estimate_inflation(cost: float, freedom: int) -> float:
+    """Estimate a covariance's inflation: residuals wider than one in twenty mean small sigmas."""
     return cost / freedom if freedom > 0 and cost > _quantile(0.95, freedom) else 1.0
 
 
-def _samples(count: int, size: int) -> Iterator[tuple[int, ...]]:
+def _draw_samples(count: int, size: int) -> Iterator[tuple[int, ...]]:
     samples = list(combinations(range(count), size)) if count <= 12 else []
     generator = np.random.default_rng(0)
     if not samples:
@@ -428,14 +430,14 @@ def _samples(count: int, size: int) -> Iterator[tuple[int, ...]]:
         yield samples[number]
 
 
-def _pose_of_cv(turn: ArrayLike, shift: ArrayLike, middle: FloatArray) -> Pose:
+def _convert_pose(turn: ArrayLike, shift: ArrayLike, middle: FloatArray) -> Pose:
     camera_from_body = Rotation.from_rotvec(np.asarray(turn, np.float64).ravel())
-    place = -camera_from_body.inv().apply(np.asarray(shift, np.float64).ravel())
-    return Pose(middle + place, camera_from_body)
+    position = -camera_from_body.inv().apply(np.asarray(shift, np.float64).ravel())
+    return Pose(middle + position, camera_from_body)
 
 
-def _tilted_over(pose: Pose, places_m: FloatArray) -> Pose:
-    """The pose from which a distant camera sees points of a plane nearly the same.
+def _make_mirror_pose(pose: Pose, places_m: FloatArray) -> Pose:
+    """Mirror the plane of the points: a distant camera sees them nearly so from the new pose.
 
     The plane is mirrored in depth: seen from far off only perspective tells both apart.
     """

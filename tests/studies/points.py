@@ -14,7 +14,7 @@ from optnav_cli.fix import Fix, Solution
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.points import PickedPoint
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
-from optnav_cli.points.constructions import CircleGround, Picks, by_circles, by_tori
+from optnav_cli.points.constructions import CircleGround, Picks, locate_by_circles, locate_by_tori
 from optnav_cli.points.method import PickedFrames
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
@@ -198,7 +198,7 @@ def _picks(trial: _Trial) -> Picks:
 
 def _circles(trial: _Trial, ground: CircleGround) -> tuple[float, float]:
     try:
-        return trial.picture.error_of(by_circles(_picks(trial), ground))
+        return trial.picture.error_of(locate_by_circles(_picks(trial), ground))
     except NoSolutionError:
         return np.nan, np.nan
 
@@ -207,7 +207,7 @@ def _tori(trial: _Trial) -> tuple[float, float]:
     if trial.row.position_m is None:
         return np.nan, np.nan
     try:
-        return trial.picture.error_of(by_tori(_picks(trial), trial.row.position_m))
+        return trial.picture.error_of(locate_by_tori(_picks(trial), trial.row.position_m))
     except NoSolutionError:
         return np.nan, np.nan
 

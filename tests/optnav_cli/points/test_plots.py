@@ -8,7 +8,7 @@ from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.pages import write_report
-from optnav_cli.points.plots import is_picked, picked_sheet
+from optnav_cli.points.plots import draw_picked_sheet, is_picked
 
 
 def test_a_run_of_picked_points_has_maps_and_error_ellipses(tmp_path: Path) -> None:
@@ -17,7 +17,7 @@ def test_a_run_of_picked_points_has_maps_and_error_ellipses(tmp_path: Path) -> N
     navigate_folder(RunInputs(tmp_path / "picked", []), made, SilentProgress(), workers=1)
     found = read_run(made)
     assert is_picked(found)
-    drawn = picked_sheet(found)
+    drawn = draw_picked_sheet(found)
     for name in ("iss_1.jpg", "iss_2.jpg", "iss_3.jpg"):
         assert f"Picked points of {name}" in drawn
         assert f"Error ellipse of the place of {name}" in drawn

@@ -7,11 +7,11 @@ import pytest
 from catalog.errors import NoSolutionError
 from optnav_cli.points.constructions import (
     Picks,
-    by_circles,
-    by_tori,
-    covariance_of,
-    homography,
-    through,
+    apply_homography,
+    fit_homography,
+    locate_by_circles,
+    locate_by_tori,
+    propagate_covariance,
 )
 from tests.optnav_cli.made_picks import WIDE, scene
 
@@ -94,7 +94,7 @@ def test_a_wrong_lens_stays_inside_the_sigmas_that_state_it():
 def test_three_points_have_several_places_and_one_is_the_true_one():
     for seed in range(10):
         made = scene(seed, 3)
-        found = made.problem().of_three()
+        found = made.problem().solve_three()
         off = [np.linalg.norm(p.pose.position_m - made.pose.position_m) for p in found]
         assert 2 <= len(found) <= 4
         assert min(off) < 5.0
@@ -115,19 +115,21 @@ def test_the_homography_is_opencvs():
     image = rng.uniform(-0.04, 0.04, (4, 2))
     plane = rng.uniform(-1e4, 1e4, (4, 2))
     ours, theirs = (
-        homography(image, plane),
+        fit_homography(image, plane),
         cv2.getPerspectiveTransform(image.astype(np.float32), plane.astype(np.float32)),
     )
     grid = rng.uniform(-0.02, 0.02, (9, 2))
-    assert np.allclose(through(ours, image), plane, atol=1e-4)
-    assert np.allclose(through(ours, grid), through(theirs, grid), rtol=1e-3, atol=10.0)
+    assert np.allclose(apply_homography(ours, image), plane, atol=1e-4)
+    assert np.allclose(
+        apply_homography(ours, grid), apply_homography(theirs, grid), rtol=1e-3, atol=10.0
+    )
 
 
 def test_circles_on_the_tangent_plane_find_the_exact_place():
     """What stays is the relief of 500 m between the points that the plane is laid through."""
     for seed in range(5):
         made = scene(seed, 4)
-        found = by_circles(picks_of(made))
+        found = locate_by_circles(picks_of(made))
         assert np.linalg.norm(found - made.pose.position_m) < 60.0
 
 
@@ -136,26 +138,28 @@ def test_circles_on_a_flat_map_miss_by_the_curvature(ground):
     off = []
     for seed in range(8):
         made = scene(seed, 4, relief_m=0.0)
-        off.append(np.linalg.norm(by_circles(picks_of(made), ground) - made.pose.position_m))
+        off.append(np.linalg.norm(locate_by_circles(picks_of(made), ground) - made.pose.position_m))
     assert np.mean(off) > 5e3
 
 
 def test_tori_find_the_exact_place_from_a_start_nearby():
     made = scene(2, 6)
     start = made.pose.position_m + np.array([2e4, -1e4, 1.5e4])
-    assert np.linalg.norm(by_tori(picks_of(made), start) - made.pose.position_m) < 1e-2
+    assert np.linalg.norm(locate_by_tori(picks_of(made), start) - made.pose.position_m) < 1e-2
 
 
 def test_the_covariance_of_circles_is_that_of_their_scatter():
     made, off = scene(4, 8, off_deg=20.0, camera=WIDE), []
     picks = picks_of(made)
     sigma = np.full(8, 0.7 / WIDE.focal_length_px)
-    covariance = covariance_of(by_circles, picks, sigma, np.full(8, 10.0), (0.0, 0.0))
+    covariance = propagate_covariance(locate_by_circles, picks, sigma, np.full(8, 10.0), (0.0, 0.0))
     for seed in range(80):
         noisy = picks_of(made)
         rng = np.random.default_rng(seed)
         noisy.image[:] += rng.normal(0.0, sigma[0], noisy.image.shape)
         places = noisy.places_m + rng.normal(0.0, 10.0, noisy.places_m.shape)
-        off.append(by_circles(Picks(places, noisy.image, noisy.half_side)) - made.pose.position_m)
+        off.append(
+            locate_by_circles(Picks(places, noisy.image, noisy.half_side)) - made.pose.position_m
+        )
     seen = np.trace(np.cov(np.array(off).T))
     assert 0.6 < seen / np.trace(covariance) < 1.6
