@@ -180,7 +180,7 @@ def _unknown_message(
     if near:
         meant = f"[{near}]" if shown.startswith("[") else repr(near)
         return f"{message}; did you mean {meant}?"
-    elsewhere = [place for place in _all_settings(root, ()) if place[-1] == key]
+    elsewhere = [known_steps for known_steps in _all_settings(root, ()) if known_steps[-1] == key]
     if elsewhere:
         return f"{message}; it belongs to {_section(elsewhere[0][:-1]) or 'the top of the file'}"
     return f"{message}; it knows {', '.join(sorted(known))}"
@@ -245,8 +245,8 @@ def _explain(message: str, info: inspect.Type, data: Any) -> str:
     if missing:
         return _missing_message(missing[1], info, steps)
     value = _value_at(data, steps)
-    found = "" if value is None or isinstance(value, dict | list) else f" = {_toml(value)}"
-    place = f"{_place(steps)}{found}"
+    shown_value = "" if value is None or isinstance(value, dict | list) else f" = {_toml(value)}"
+    subject = f"{_place(steps)}{shown_value}"
     expected = _EXPECTED.match(text)
     if expected and expected[1] == "array" and isinstance(value, dict):
         name = _section(steps)
@@ -255,17 +255,17 @@ def _explain(message: str, info: inspect.Type, data: Any) -> str:
         kinds = [_KINDS.get(kind, kind) for kind in expected[1].split(" | ") if kind != "null"]
         wanted = " or ".join(kinds) + (f" {expected[2]}" if expected[2] else "")
         word = expected[3]  # what msgspec says it got: a kind in backquotes, or how many items
-        known = "" if found or not word else _KINDS.get(word.strip("`"), f"{word} long")
+        known = "" if shown_value or not word else _KINDS.get(word.strip("`"), f"{word} long")
         got = f"; it is {known}" if known else ""
-        return f"{place}: must be {wanted}{got}"
+        return f"{subject}: must be {wanted}{got}"
     if text.startswith("Invalid enum value"):
         choices = sorted(str(choice) for choice in _choices(_type_at(info, steps)))
         near = nearest_name(str(value), choices)
         hint = f"; did you mean {near!r}?" if near else ""
-        return f"{place}: must be one of {', '.join(choices)}{hint}"
+        return f"{subject}: must be one of {', '.join(choices)}{hint}"
     if isinstance(_type_at(info, steps), inspect.StructType):
-        place = _section(steps)
-    return f"{place}: {text}" if place else text
+        subject = _section(steps)
+    return f"{subject}: {text}" if subject else text
 
 
 def _missing_message(key: str, info: inspect.Type, steps: Steps) -> str:
@@ -279,8 +279,8 @@ def _missing_message(key: str, info: inspect.Type, steps: Steps) -> str:
 
 def _type_at(info: inspect.Type, steps: Steps) -> inspect.Type | None:
     if isinstance(info, inspect.UnionType):
-        found = (_type_at(part, steps) for part in info.types)
-        return next((type_ for type_ in found if type_ is not None), None)
+        candidates = (_type_at(part, steps) for part in info.types)
+        return next((type_ for type_ in candidates if type_ is not None), None)
     if not steps:
         return None if isinstance(info, inspect.NoneType) else info
     if isinstance(info, inspect.StructType):

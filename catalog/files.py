@@ -121,8 +121,8 @@ def made_by_optnav(folder: Path, kind: str) -> bool:
     """Whether a folder's manifest says that optnav made it, as this kind of output."""
     path = folder / MANIFEST
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode) or found.st_size > MAX_MANIFEST_BYTES:
+        state = path.stat()
+        if not stat.S_ISREG(state.st_mode) or state.st_size > MAX_MANIFEST_BYTES:
             return False
         head = stored_json(path.read_bytes(), _ManifestHead)
     except OSError:
@@ -132,11 +132,11 @@ def made_by_optnav(folder: Path, kind: str) -> bool:
 
 def check_folder(path: Path, kind: str) -> None:
     """Raise OutputError unless `path` is free, an empty folder, or an output of this kind."""
-    found = kind_at(path)
-    if found == stat.S_IFREG:
+    entry = kind_at(path)
+    if entry == stat.S_IFREG:
         raise OutputError(f"{path}: a file is in the way of an output folder; name another place")
     try:
-        foreign = found != 0 and any(path.iterdir()) and not made_by_optnav(path, kind)
+        foreign = entry != 0 and any(path.iterdir()) and not made_by_optnav(path, kind)
     except OSError as error:
         raise unusable(path, error) from None
     if foreign:

@@ -72,9 +72,9 @@ def make_folder(path: Path) -> None:
 
 def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
     """Raise OutputError for an output folder that would replace what goes into it."""
-    whole = os.path.realpath(folder)
+    target = os.path.realpath(folder)
     for path in inputs:
-        if "\0" not in str(path) and Path(os.path.realpath(path)).is_relative_to(whole):
+        if "\0" not in str(path) and Path(os.path.realpath(path)).is_relative_to(target):
             raise OutputError(
                 f"{folder}: holds {path}, which is read, and would be replaced; name another place"
             )
@@ -165,7 +165,7 @@ def _check_around(path: Path, own: set[Path]) -> None:
     for other in list(path.parents)[:-1]:
         if other not in own and _is_held(beside(other, LOCK)):
             raise _taken(other)
-    known = {beside(place, LOCK) for place in own}
+    known = {beside(path_held, LOCK) for path_held in own}
     for lock in path.rglob(f".*.{LOCK}") if path.is_dir() else ():
         if lock not in known and _is_held(lock):
             raise _taken(lock.with_name(lock.name[1 : -len(LOCK) - 1]))

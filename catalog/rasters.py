@@ -204,10 +204,10 @@ def encode_geotiff(
     """
     first = next(iter(bands.values()))
     (rows, cols), kind = first.shape, first.dtype.name
-    whole = {"driver": "GTiff", "compress": "deflate", "dtype": kind, "count": len(bands)}
-    whole |= {"predictor": 3} if kind == "float32" else {}
+    options = {"driver": "GTiff", "compress": "deflate", "dtype": kind, "count": len(bands)}
+    options |= {"predictor": 3} if kind == "float32" else {}
     with _gdal(siblings=True), MemoryFile() as memory:
-        with memory.open(**whole, height=rows, width=cols, **profile) as file:
+        with memory.open(**options, height=rows, width=cols, **profile) as file:
             file.update_tags(**(tags or {}))
             if unit:
                 file.units = (unit,) * len(bands)
@@ -408,10 +408,10 @@ class _RasterFiles:
 
     def _listing(self, folder: Path) -> dict[str, list[Path]]:
         if folder not in self.listings:
-            found: dict[str, list[Path]] = {}
+            names: dict[str, list[Path]] = {}
             for path in folder.iterdir():
-                found.setdefault(path.name.casefold(), []).append(path)
-            self.listings[folder] = found
+                names.setdefault(path.name.casefold(), []).append(path)
+            self.listings[folder] = names
         return self.listings[folder]
 
 
@@ -441,11 +441,11 @@ def _vrt_sources(path: Path, folder: Path) -> list[Path]:
         root = ElementTree.fromstring(raw)
     except ElementTree.ParseError as error:
         raise DataError(f"{path}: is a damaged VRT mosaic ({error}); make it anew") from None
-    found = []
+    sources = []
     for element in root.iter():
         kind = element.tag.lower()
         if kind in _FILE_ELEMENTS:
-            found.append(_source_path(path, folder, element))
+            sources.append(_source_path(path, folder, element))
             continue
         words = " ".join([element.text or "", *element.attrib.values()])
         if kind not in _VRT_ELEMENTS.split() or _ELSEWHERE.search(words) or "<" in words:
@@ -460,7 +460,7 @@ def _vrt_sources(path: Path, folder: Path) -> list[Path]:
                 f"{path}: is a VRT of the kind {element.get('subClass')}; write a GeoTIFF with "
                 "gdal_translate"
             )
-    return found
+    return sources
 
 
 def _source_path(path: Path, folder: Path, element: ElementTree.Element) -> Path:

@@ -119,11 +119,11 @@ def navigate_picture(
     sigma_rad, attitude_sigma_arcsec = None, known.get("attitude_sigma_arcsec", 0.0)
     if attitude_sigma_arcsec is not None:
         sigma_rad = math.hypot(attitude_sigma_arcsec, camera.boresight_sigma_arcsec) * ARCSEC
-    with open_catalogs([Path(path) for path in catalogs]) as found:
-        body = load_body(str(known.get("body") or found[0].meta.body))
+    with open_catalogs([Path(path) for path in catalogs]) as opened:
+        body = load_body(str(known.get("body") or opened[0].meta.body))
         motion = AnalyticEphemeris(body)
-        points = open_field(found, body)
-        relief = whole_relief(found, None, body)
+        points = open_field(opened, body)
+        relief = whole_relief(opened, None, body)
         inputs = NavigationInputs(points, motion, relief, NavigateSettings(), match_ncc)
         frame = Frame(
             file=picture.name,

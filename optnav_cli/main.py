@@ -124,9 +124,9 @@ def run(args: Sequence[str], group: click.Group = cli, program: str = "optnav") 
             return _fail(text, BAD_PLACE)
         if error.errno not in PLACE_ERRORS:
             raise
-        place = f"{os.fsdecode(error.filename)}: " if error.filename else ""
+        where = f"{os.fsdecode(error.filename)}: " if error.filename else ""
         reason = os.strerror(error.errno).lower()
-        return _fail(f"{place}{reason}; {PLACE_ERRORS[error.errno]}", BAD_PLACE)
+        return _fail(f"{where}{reason}; {PLACE_ERRORS[error.errno]}", BAD_PLACE)
 
 
 def _is_folder_gone() -> bool:

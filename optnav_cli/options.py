@@ -63,7 +63,7 @@ class OptnavCommand(SharingCommand):
         )
         ctx.obj = ConsoleProgress(quiet=bool(said["quiet"]))
         places = (p for p in self.params if isinstance(p, OutputOption) and p.name)
-        ctx.meta[IN_FILES] = any(ctx.params.get(place.name or "") for place in places)
+        ctx.meta[IN_FILES] = any(ctx.params.get(option.name or "") for option in places)
         return super().invoke(ctx)
 
 

@@ -23,12 +23,12 @@ class OutputOption(click.Option):
 
     def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
         """The place. Raises BadParameter for another ending than is written."""
-        place = super().type_cast_value(ctx, value)
-        if place is not None and self.endings and place.suffix.lower() not in self.endings:
+        path = super().type_cast_value(ctx, value)
+        if path is not None and self.endings and path.suffix.lower() not in self.endings:
             *others, last = filter(None, self.endings)
             wanted = f"{', '.join(others)} or {last}" if others else last
-            raise click.BadParameter(f"{str(place)!r} does not end in {wanted}", ctx, self)
-        return place
+            raise click.BadParameter(f"{str(path)!r} does not end in {wanted}", ctx, self)
+        return path
 
 
 class RenamedChoice(click.Choice):  # type: ignore[type-arg] # generic since 8.2 only

@@ -108,8 +108,8 @@ class Comparison:
     def field_changed(self, name: str) -> BoolArray:
         """(n,) where a field of the records differs."""
         if name == "source":
-            one, other = self.first.meta, self.second.meta
-            return np.not_equal(_names(one, self.before), _names(other, self.after))
+            before, after = self.first.meta, self.second.meta
+            return np.not_equal(_names(before, self.before), _names(after, self.after))
         return _differs(self.before[name], self.after[name])
 
     def field_change(self, name: str) -> FloatArray:
@@ -130,16 +130,16 @@ def compare(first: str | Path, second: str | Path, progress: Progress | None = N
         Catalog.open(second, strict=True) as b,
         (progress or SilentProgress()).stage("compare", len(a) + len(b), "point") as stage,
     ):
-        found = _compare(a, b, stage)
-    alone = len(found.first.only) + len(found.second.only)
-    differs = bool(found.settings or alone or len(found.ids) or found.relief)
+        comparison = _compare(a, b, stage)
+    alone = len(comparison.first.only) + len(comparison.second.only)
+    differs = bool(comparison.settings or alone or len(comparison.ids) or comparison.relief)
     # equal digests of different contents, or different ones of equal: one of the two is not true
-    if found.same == differs:
+    if comparison.same == differs:
         raise DataError(
             f"{first}, {second}: a digest that they state is not that of the content; "
             "run `optnav catalog verify` on both"
         )
-    return found
+    return comparison
 
 
 def require_whole(path: str | Path) -> None:
@@ -159,8 +159,8 @@ def _content(meta: CatalogMeta) -> dict[str, str]:
         values["relief"] = f"{relief.rows} rows of {relief.source} ({relief.digest[:12]})"
     if meta.planes is not None:
         planes = meta.planes.rounded()
-        own = json.dumps(planes.pop("verticals_deg", {}), sort_keys=True)
-        digest = f", verticals {hashlib.sha256(own.encode()).hexdigest()[:12]}"
+        verticals_text = json.dumps(planes.pop("verticals_deg", {}), sort_keys=True)
+        digest = f", verticals {hashlib.sha256(verticals_text.encode()).hexdigest()[:12]}"
         values["planes"] = f"{planes}{digest if meta.planes.verticals_deg else ''}"
     return values
 
@@ -213,11 +213,13 @@ def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
     holes = np.zeros(len(shared), dtype=np.int64)
     height_max, height_rms = np.zeros(len(shared)), np.zeros(len(shared))
     for row, number in enumerate(shared.tolist()):
-        one, other = a.stored_patches(number), b.stored_patches(number)
-        if not _same_content(one, other):
+        before_patches, after_patches = a.stored_patches(number), b.stored_patches(number)
+        if not _same_content(before_patches, after_patches):
             patches[row] = True
             height_max[row], height_rms[row], holes[row] = (
-                _height_differences(one, other) if moved_m[row] == 0.0 else (np.nan, np.nan, 0)
+                _height_differences(before_patches, after_patches)
+                if moved_m[row] == 0.0
+                else (np.nan, np.nan, 0)
             )
         stage.advance(2)
     changed = patches | (_names(a.meta, before) != _names(b.meta, after))
@@ -242,10 +244,10 @@ def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
 
 def _relief_change(a: Catalog, b: Catalog) -> ReliefChange | None:
     """Both reliefs are read, so that a damaged one is reported."""
-    one, other = a.relief(), b.relief()
-    if one is None or other is None or one.heights.shape != other.heights.shape:
+    before, after = a.relief(), b.relief()
+    if before is None or after is None or before.heights.shape != after.heights.shape:
         return None
-    means, max_heights = one.heights - other.heights, one.max_heights - other.max_heights
+    means, max_heights = before.heights - after.heights, before.max_heights - after.max_heights
     cells = int(np.count_nonzero((means != 0.0) | (max_heights != 0.0)))
     if cells == 0:
         return None

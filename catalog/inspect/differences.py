@@ -17,44 +17,44 @@ from catalog.tables import CsvColumn, CsvTable
 SHOWN = 10  # lines a kind; the table (`difference_table`) has all
 
 
-def summary(found: Comparison) -> str:
+def summary(comparison: Comparison) -> str:
     """What differs, in one line; "" for nothing."""
     words = {
-        "only_in_first": f"points only in {found.first.path.name}",
-        "only_in_second": f"points only in {found.second.path.name}",
+        "only_in_first": f"points only in {comparison.first.path.name}",
+        "only_in_second": f"points only in {comparison.second.path.name}",
         "usable": "usable or no longer",
     }
     return ", ".join(
         f"{words.get(what, what.replace('_', ' '))}: {number}"
-        for what, number in counts(found).items()
+        for what, number in counts(comparison).items()
         if number
     )
 
 
-def counts(found: Comparison) -> dict[str, int]:
+def counts(comparison: Comparison) -> dict[str, int]:
     """How many settings differ, and how many points in what."""
-    moved, usable = found.moved_m > 0.0, found.field_changed("usable")
-    reasons = found.field_changed("flags") & ~usable
-    certificate = np.any([found.field_changed(name) for name in CERTIFICATE], axis=0)
+    moved, usable = comparison.moved_m > 0.0, comparison.field_changed("usable")
+    reasons = comparison.field_changed("flags") & ~usable
+    certificate = np.any([comparison.field_changed(name) for name in CERTIFICATE], axis=0)
     return {
-        "settings": len(found.settings),
-        "only_in_first": len(found.first.only),
-        "only_in_second": len(found.second.only),
+        "settings": len(comparison.settings),
+        "only_in_first": len(comparison.first.only),
+        "only_in_second": len(comparison.second.only),
         "moved": int(moved.sum()),
         "usable": int(usable.sum()),
         "other_reasons": int(reasons.sum()),
-        "other_radius_in_place": int((found.field_changed("radius_m") & ~moved).sum()),
-        "other_heights_in_place": int((found.patches & ~moved).sum()),
+        "other_radius_in_place": int((comparison.field_changed("radius_m") & ~moved).sum()),
+        "other_heights_in_place": int((comparison.patches & ~moved).sum()),
         "other_certificate": int(certificate.sum()),
-        "other_terrain_model": int(found.field_changed("source").sum()),
+        "other_terrain_model": int(comparison.field_changed("source").sum()),
     }
 
 
-def comparison_document(found: Comparison) -> Document:
+def comparison_document(comparison: Comparison) -> Document:
     """The differences as plain values; each point that differs has the columns of the table."""
-    sides = {"first": found.first, "second": found.second}
+    sides = {"first": comparison.first, "second": comparison.second}
     return {
-        "same": found.same,
+        "same": comparison.same,
         **{
             name: {
                 "catalog": str(side.path),
@@ -64,41 +64,41 @@ def comparison_document(found: Comparison) -> Document:
             }
             for name, side in sides.items()
         },
-        "comparable": found.comparable,
-        "counts": counts(found),
-        "settings": [change._asdict() for change in found.settings],
-        "not_content": [change._asdict() for change in found.provenance],
-        "relief": found.relief and found.relief._asdict(),
-        "points": [dict.fromkeys(DIFFERENCES.names) | row for row in _sorted_rows(found)],
+        "comparable": comparison.comparable,
+        "counts": counts(comparison),
+        "settings": [change._asdict() for change in comparison.settings],
+        "not_content": [change._asdict() for change in comparison.provenance],
+        "relief": comparison.relief and comparison.relief._asdict(),
+        "points": [dict.fromkeys(DIFFERENCES.names) | row for row in _sorted_rows(comparison)],
     }
 
 
-def lines(found: Comparison) -> Iterator[str]:
+def lines(comparison: Comparison) -> Iterator[str]:
     """The differences, a kind after the other, the greatest of each first."""
-    for name, side in (("first", found.first), ("second", found.second)):
+    for name, side in (("first", comparison.first), ("second", comparison.second)):
         meta = side.meta
         yield f"{name}: {side.path}: {meta.count} control points, {meta.usable} usable"
         yield f"{name}_digest: {meta.digest}"
-    for change in found.provenance[:SHOWN]:
+    for change in comparison.provenance[:SHOWN]:
         yield f"not content: {change.name}: {change.first} -> {change.second}"
-    if len(found.provenance) > SHOWN:
-        yield f"not content: and {len(found.provenance) - SHOWN} more"
-    for change in found.settings:
+    if len(comparison.provenance) > SHOWN:
+        yield f"not content: and {len(comparison.provenance) - SHOWN} more"
+    for change in comparison.settings:
         yield f"setting: {change.name}: {change.first} -> {change.second}"
-    if not found.comparable:
+    if not comparison.comparable:
         yield "points: not compared: their ids are cells of other grids"
-    if found.relief is not None:
-        relief = found.relief
+    if comparison.relief is not None:
+        relief = comparison.relief
         yield (
             f"relief: {relief.cells} cells, means max {relief.mean_max_m:.3f} m, rms "
             f"{relief.mean_rms_m:.3f} m, tops max {relief.top_max_m:.3f} m"
         )
-    for side in (found.first, found.second):
+    for side in (comparison.first, comparison.second):
         yield from _alone(side)
-    yield from _places(found)
-    yield from _use(found)
-    yield from _heights(found)
-    yield from _certificates(found)
+    yield from _places(comparison)
+    yield from _use(comparison)
+    yield from _heights(comparison)
+    yield from _certificates(comparison)
 
 
 def _alone(side: ComparedCatalog) -> Iterator[str]:
@@ -109,32 +109,37 @@ def _alone(side: ComparedCatalog) -> Iterator[str]:
         )
 
 
-def _places(found: Comparison) -> Iterator[str]:
-    moved = found.moved_m[found.moved_m > 0.0]
+def _places(comparison: Comparison) -> Iterator[str]:
+    moved = comparison.moved_m[comparison.moved_m > 0.0]
     if len(moved):
         spread = f"median {np.median(moved):.3f} m, max {moved.max():.3f} m"
         yield f"moved: {_points(len(moved))}, {spread}"
-        yield from _greatest(found, found.moved_m > 0.0, "{:.3f} m", found.moved_m)
-    radius = found.after["radius_m"] - found.before["radius_m"]
-    still = found.field_changed("radius_m") & (found.moved_m == 0.0)
+        yield from _greatest(comparison, comparison.moved_m > 0.0, "{:.3f} m", comparison.moved_m)
+    radius = comparison.after["radius_m"] - comparison.before["radius_m"]
+    still = comparison.field_changed("radius_m") & (comparison.moved_m == 0.0)
     if still.any():
         yield f"radius of points in place: {_points(still.sum())}, {_largest(radius[still])} m"
-        yield from _greatest(found, still, "{:+.3f} m", radius)
+        yield from _greatest(comparison, still, "{:+.3f} m", radius)
 
 
-def _use(found: Comparison) -> Iterator[str]:
-    before, after = found.before["usable"] != 0, found.after["usable"] != 0
+def _use(comparison: Comparison) -> Iterator[str]:
+    before, after = comparison.before["usable"] != 0, comparison.after["usable"] != 0
     for name, chosen in (
         ("no longer usable", before & ~after),
         ("newly usable", after & ~before),
-        ("other reasons", found.field_changed("flags") & (before == after)),
+        ("other reasons", comparison.field_changed("flags") & (before == after)),
     ):
-        yield from _pairs(name, found, chosen, lambda _, record: _state(record))
-    yield from _pairs("other terrain model", found, found.field_changed("source"), _source)
+        yield from _pairs(name, comparison, chosen, lambda _, record: _state(record))
+    yield from _pairs(
+        "other terrain model", comparison, comparison.field_changed("source"), _source
+    )
 
 
 def _pairs(
-    name: str, found: Comparison, chosen: BoolArray, text: Callable[[ComparedCatalog, Record], str]
+    name: str,
+    comparison: Comparison,
+    chosen: BoolArray,
+    text: Callable[[ComparedCatalog, Record], str],
 ) -> Iterator[str]:
     """A line with the number of chosen points, and what each is in both catalogs."""
     rows = np.flatnonzero(chosen)
@@ -143,38 +148,38 @@ def _pairs(
         yield from _shortened(
             rows,
             lambda row: (
-                f"{found.ids[row]}: {text(found.first, found.before[row])} -> "
-                f"{text(found.second, found.after[row])}"
+                f"{comparison.ids[row]}: {text(comparison.first, comparison.before[row])} -> "
+                f"{text(comparison.second, comparison.after[row])}"
             ),
         )
 
 
-def _heights(found: Comparison) -> Iterator[str]:
-    changed = found.patches & (found.moved_m == 0.0)
+def _heights(comparison: Comparison) -> Iterator[str]:
+    changed = comparison.patches & (comparison.moved_m == 0.0)
     if not changed.any():
         return
-    largest = found.height_max_m[changed]
+    largest = comparison.height_max_m[changed]
     known = np.isfinite(largest)
     text = f"heights of points in place: {_points(changed.sum())}"
     if known.any():
-        squares = np.square(found.height_rms_m[changed][known])
+        squares = np.square(comparison.height_rms_m[changed][known])
         text += f", max {largest[known].max():.3f} m, rms {np.sqrt(squares.mean()):.3f} m"
     if not known.all():
         text += f", {np.count_nonzero(~known)} of another shape or without common nodes"
-    if found.holes[changed].any():
-        text += f", {found.holes[changed].sum()} nodes with a height in one only"
+    if comparison.holes[changed].any():
+        text += f", {comparison.holes[changed].sum()} nodes with a height in one only"
     yield text
-    sizes = found.height_max_m, found.height_rms_m
-    yield from _greatest(found, changed, "max {:.3f} m, rms {:.3f} m", *sizes)
+    sizes = comparison.height_max_m, comparison.height_rms_m
+    yield from _greatest(comparison, changed, "max {:.3f} m, rms {:.3f} m", *sizes)
 
 
-def _certificates(found: Comparison) -> Iterator[str]:
+def _certificates(comparison: Comparison) -> Iterator[str]:
     for name in CERTIFICATE:
-        chosen = found.field_changed(name)
+        chosen = comparison.field_changed(name)
         if chosen.any():
-            change = found.field_change(name)
+            change = comparison.field_change(name)
             yield f"{name}: {_points(chosen.sum())}, {_largest(change[chosen])}"
-            yield from _greatest(found, chosen, "by {:.4g}", change)
+            yield from _greatest(comparison, chosen, "by {:.4g}", change)
 
 
 def _largest(changes: FloatArray) -> str:
@@ -185,13 +190,17 @@ def _largest(changes: FloatArray) -> str:
     return ", ".join(parts + ([f"{unknown} known in one only"] if unknown else []))
 
 
-def _greatest(found: Comparison, chosen: BoolArray, form: str, *sizes: FloatArray) -> Iterator[str]:
+def _greatest(
+    comparison: Comparison, chosen: BoolArray, form: str, *sizes: FloatArray
+) -> Iterator[str]:
     """Lines of the chosen points with the largest of the first sizes."""
     rows = np.flatnonzero(chosen)
     known = np.nan_to_num(np.abs(sizes[0][rows]), nan=np.inf)
     rows = rows[np.argsort(-known, kind="stable")]
     form = f"{{}}: {form}"
-    yield from _shortened(rows, lambda row: form.format(*(a[row] for a in (found.ids, *sizes))))
+    yield from _shortened(
+        rows, lambda row: form.format(*(a[row] for a in (comparison.ids, *sizes)))
+    )
 
 
 def _points(number: int | np.integer[Any]) -> str:
@@ -247,38 +256,38 @@ DIFFERENCES = CsvTable(
 is_table = starts_with(",".join(DIFFERENCES.names[:6]).encode())
 
 
-def write_table(found: Comparison, path: Path) -> int:
+def write_table(comparison: Comparison, path: Path) -> int:
     """Write every point that differs to a CSV file, in the order of ids; returns their number.
 
     Raises OutputError for a place that cannot be written or an existing file that is no such table.
     """
     with replacing_file(path, is_table) as new:
-        return DIFFERENCES.write(new, _sorted_rows(found))
+        return DIFFERENCES.write(new, _sorted_rows(comparison))
 
 
-def _sorted_rows(found: Comparison) -> list[Document]:
-    return sorted(_rows(found), key=lambda row: int(row["id"]))
+def _sorted_rows(comparison: Comparison) -> list[Document]:
+    return sorted(_rows(comparison), key=lambda row: int(row["id"]))
 
 
-def _rows(found: Comparison) -> Iterator[Document]:
-    for suffix, side in (("first", found.first), ("second", found.second)):
+def _rows(comparison: Comparison) -> Iterator[Document]:
+    for suffix, side in (("first", comparison.first), ("second", comparison.second)):
         for record in side.only:
             row: Document = {"id": int(record["id"]), "change": f"only in {suffix}"}
             yield row | _columns(side, record, suffix)
-    lists = {name: found.field_change(name) for name in LISTS}
-    for number, (before, after) in enumerate(zip(found.before, found.after)):
+    lists = {name: comparison.field_change(name) for name in LISTS}
+    for number, (before, after) in enumerate(zip(comparison.before, comparison.after)):
         row = {
             "id": int(before["id"]),
             "change": "differs",
-            "moved_m": float(found.moved_m[number]),
+            "moved_m": float(comparison.moved_m[number]),
             "radius_change_m": float(after["radius_m"] - before["radius_m"]),
-            "height_max_m": float(found.height_max_m[number]),
-            "height_rms_m": float(found.height_rms_m[number]),
-            "nodes_in_one_only": int(found.holes[number]),
+            "height_max_m": float(comparison.height_max_m[number]),
+            "height_rms_m": float(comparison.height_rms_m[number]),
+            "nodes_in_one_only": int(comparison.holes[number]),
         }
         row |= {f"{name}_change": float(lists[name][number]) for name in LISTS}
-        row |= _columns(found.first, before, "first")
-        yield row | _columns(found.second, after, "second")
+        row |= _columns(comparison.first, before, "first")
+        yield row | _columns(comparison.second, after, "second")
 
 
 def _columns(side: ComparedCatalog, record: Record, suffix: str) -> Document:

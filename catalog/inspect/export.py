@@ -175,11 +175,11 @@ def _write_csv(catalog: Catalog, path: Path) -> None:
         # those beside a layer of ours are ours; a lone .prj may belong to another layer
         again = path.is_file() and path.stat().st_size > 0
         ours = (lambda _: True) if again else starts_with(wkt.encode(), types.encode())
-        for place in sides:
-            check_file(place, ours)
+        for side in sides:
+            check_file(side, ours)
         table.write(new, (point_properties(catalog, point) for point in catalog.points()))
-        for place, text in sides.items():
-            write_output(place, f"{text}\n".encode(), ours)
+        for side, text in sides.items():
+            write_output(side, f"{text}\n".encode(), ours)
 
 
 def _write_geopackage(catalog: Catalog, path: Path) -> None:
@@ -284,13 +284,13 @@ def export_relief(catalog: Catalog, path: Path) -> int:
         )
     rows = len(relief.heights)
     step = 180.0 / rows
-    place = {
+    georeference = {
         "crs": rasterio.CRS.from_wkt(srs_of(catalog.meta.body, catalog.meta.radius_m)[4]),
         "transform": Affine(step, 0.0, -180.0, 0.0, -step, 90.0),
         "tiled": True,
     }
     bands = {"mean height, m": relief.heights, "highest place, m": relief.max_heights}
-    _write_raster(path, bands, place, {DESCRIPTION: f"{RELIEF_NAME}: {relief.source}"})
+    _write_raster(path, bands, georeference, {DESCRIPTION: f"{RELIEF_NAME}: {relief.source}"})
     return rows
 
 
@@ -303,7 +303,7 @@ def export_patch_heights(catalog: Catalog, point_id: int, level: int, path: Path
     """
     point, patch = patch_of(catalog, point_id, level)
     half = patch.posting_m * patch.size / 2.0
-    place = {
+    georeference = {
         "crs": rasterio.CRS.from_wkt(_patch_system(catalog.meta, point)),
         "transform": Affine(patch.posting_m, 0.0, -half, 0.0, -patch.posting_m, half),
         "nodata": np.nan,
@@ -311,7 +311,7 @@ def export_patch_heights(catalog: Catalog, point_id: int, level: int, path: Path
     words = f"{PATCH_NAME} {point_id} level {level}: {point.source}"
     above = "sphere" if catalog.meta.planes is None else "plane"
     bands = {f"height above the {above}, m": patch.heights_m}
-    _write_raster(path, bands, place, {DESCRIPTION: words, "AREA_OR_POINT": "Point"})
+    _write_raster(path, bands, georeference, {DESCRIPTION: words, "AREA_OR_POINT": "Point"})
     return patch.size
 
 

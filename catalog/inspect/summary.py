@@ -1,7 +1,6 @@
 """What a catalog holds, as a document for programs and in a few lines for people."""
 
 from collections.abc import Callable
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -165,28 +164,28 @@ def _comparison(catalog: Catalog) -> Document | None:
     if meta is None:
         return None
     shifts = [(s.east_m, s.north_m) for s in catalog.shifts.values()]
-    found = np.array([shift for shift in shifts if np.isfinite(shift).all()]).reshape(-1, 2)
-    middle = np.median(found, axis=0) if len(found) else np.full(2, np.nan)
-    about = found - middle
+    known = np.array([shift for shift in shifts if np.isfinite(shift).all()]).reshape(-1, 2)
+    middle = np.median(known, axis=0) if len(known) else np.full(2, np.nan)
+    about = known - middle
     return {
         "sources": dict(meta.sources),
         "max_shift_m": meta.max_shift_m,
         "points_on_it": len(shifts),
-        "points_found": len(found),
+        "points_found": len(known),
         "median_e_m": float(middle[0]),
         "median_n_m": float(middle[1]),
-        "rms_about_median_m": float(np.sqrt(np.square(about).mean())) if len(found) else np.nan,
+        "rms_about_median_m": float(np.sqrt(np.square(about).mean())) if len(known) else np.nan,
     }
 
 
-def _comparison_lines(found: Document | None) -> dict[str, str]:
-    if found is None:
+def _comparison_lines(comparison: Document | None) -> dict[str, str]:
+    if comparison is None:
         return {}
     words = (
         "{points_found} of {points_on_it} points found, {median_e_m:+.3g} m east, "
         "{median_n_m:+.3g} m north (median), {rms_about_median_m:.3g} m rms an axis about that"
     )
-    return {f"comparison with {', '.join(found['sources'])}": words.format(**found)}
+    return {f"comparison with {', '.join(comparison['sources'])}": words.format(**comparison)}
 
 
 def _error_words(error: Document) -> str:
@@ -219,17 +218,17 @@ _WORDS: dict[str, Callable[[Any], dict[str, str]]] = {
 }
 
 
-def verification_document(found: "Verification") -> Document:
-    """What `verify` found, as plain values."""
+def verification_document(verification: "Verification") -> Document:
+    """What `verify` verification, as plain values."""
     return {
-        "catalog": str(found.path),
-        "sound": found.sound,
-        "problems": [asdict(problem) for problem in found.problems],
-        "points": found.points,
-        "patches": found.patches,
-        "digest": found.computed or None,
-        "stated_digest": found.stated or None,
-        "seal": found.seal and found.seal.name.lower(),
+        "catalog": str(verification.path),
+        "sound": verification.sound,
+        "problems": [{"place": p.where, "what": p.what} for p in verification.problems],
+        "points": verification.points,
+        "patches": verification.patches,
+        "digest": verification.computed or None,
+        "stated_digest": verification.stated or None,
+        "seal": verification.seal and verification.seal.name.lower(),
     }
 
 
@@ -268,33 +267,32 @@ def shift_document(shift: ComparisonShift | None) -> Document:
     }
 
 
-def describe_point(document: Document) -> dict[str, str]:
+def describe_point(values: Document) -> dict[str, str]:
     """Name and value of what is known about a point, in the order of printing."""
-    found = document
     return {
-        "id": str(found["id"]),
-        "lat_deg": f"{found['lat_deg']:.7f}",
-        "lon_deg": f"{found['lon_deg']:.7f}",
-        "radius_m": f"{found['radius_m']:.3f}",
-        "xyz_m": " ".join(f"{found[name]:.2f}" for name in ("x_m", "y_m", "z_m")),
-        "usable": "yes" if found["usable"] else "no",
-        "reasons": ", ".join(found["reasons"]) or "none",
-        "recognition_rate": f"{found['recognition_rate']:.4g} ({found['trials']} trials)",
-        "localisation_nodes": f"{found['localisation_nodes']:.4g}",
-        "hessian_eigenvalue": f"{found['hessian_eigenvalue']:.6g}",
-        "uniqueness": " ".join(f"{margin:.4g}" for margin in found["uniqueness"]),
-        "shadow_limit_deg": " ".join(f"{limit:.4g}" for limit in found["shadow_limit_deg"]),
-        "source": found["source"],
-    } | _shift_words(found)
+        "id": str(values["id"]),
+        "lat_deg": f"{values['lat_deg']:.7f}",
+        "lon_deg": f"{values['lon_deg']:.7f}",
+        "radius_m": f"{values['radius_m']:.3f}",
+        "xyz_m": " ".join(f"{values[name]:.2f}" for name in ("x_m", "y_m", "z_m")),
+        "usable": "yes" if values["usable"] else "no",
+        "reasons": ", ".join(values["reasons"]) or "none",
+        "recognition_rate": f"{values['recognition_rate']:.4g} ({values['trials']} trials)",
+        "localisation_nodes": f"{values['localisation_nodes']:.4g}",
+        "hessian_eigenvalue": f"{values['hessian_eigenvalue']:.6g}",
+        "uniqueness": " ".join(f"{margin:.4g}" for margin in values["uniqueness"]),
+        "shadow_limit_deg": " ".join(f"{limit:.4g}" for limit in values["shadow_limit_deg"]),
+        "source": values["source"],
+    } | _shift_words(values)
 
 
-def _shift_words(found: Document) -> dict[str, str]:
-    if found["comparison_e_m"] is None:
+def _shift_words(values: Document) -> dict[str, str]:
+    if values["comparison_e_m"] is None:
         return {}
     words = (
         "{comparison_e_m:+.4g} m east, {comparison_n_m:+.4g} m north, score {comparison_score:.2f}"
     )
-    return {"comparison": words.format(**found)}
+    return {"comparison": words.format(**values)}
 
 
 class NearPoint(NamedTuple):
@@ -320,8 +318,8 @@ def nearest_points(
             f"{catalog.path}: none of its {len(catalog)} control points is usable; leave --usable "
             "out to find one of the others"
         )
-    place = body_from_local(*np.radians([lat_deg, lon_deg]))
-    east, north, up = (catalog.direction[rows] @ place).T
+    axes = body_from_local(*np.radians([lat_deg, lon_deg]))
+    east, north, up = (catalog.direction[rows] @ axes).T
     # half the chord keeps its digits at small angles; of equals, the lowest id
     chord = np.hypot(np.hypot(east, north), 1.0 - up)
     order = np.lexsort((rows, chord))[:count]
@@ -329,7 +327,7 @@ def nearest_points(
     azimuths = np.degrees(np.arctan2(east[order], north[order])) % 360.0
     points = (catalog.point(int(catalog.ids[row])) for row in rows[order])
     distances = (angles * catalog.meta.radius_m).tolist()
-    return [NearPoint(*found) for found in zip(points, distances, azimuths.tolist())]
+    return [NearPoint(*fields) for fields in zip(points, distances, azimuths.tolist())]
 
 
 def covers(catalog: Catalog, near: NearPoint) -> bool:

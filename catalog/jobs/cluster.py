@@ -268,16 +268,16 @@ class ClusterPool:
 
     def _wait_for_workers(self) -> None:
         until = time.monotonic() + ARRIVE_S
-        while not (found := self._listed()) and time.monotonic() < until:
+        while not (listed := self._listed()) and time.monotonic() < until:
             time.sleep(0.2)
-        if not found:
+        if not listed:
             raise WorkersError(
                 f"{self.address}: the scheduler has no workers (waited {ARRIVE_S:.0f} s); start "
                 f"some on each machine: dask worker {self.address} --nworkers N --nthreads 1"
             )
-        self._workers = set(found)
+        self._workers = set(listed)
         self._looked = self._seen_workers = time.monotonic()
-        threads = max(int(worker["nthreads"]) for worker in found.values())
+        threads = max(int(worker["nthreads"]) for worker in listed.values())
         if threads > 1:
             log.warning(
                 "workers of %(n)d threads use one of them for a build; start them with "
@@ -291,8 +291,8 @@ class ClusterPool:
             identity = self._client.sync(self._client.scheduler.identity, callback_timeout=ANSWER_S)
         except (OSError, RuntimeError) as error:  # RuntimeError: the client has closed itself
             raise _SchedulerLostError from error
-        found: dict[str, Any] = identity["workers"]
-        return found
+        by_address: dict[str, Any] = identity["workers"]
+        return by_address
 
     def _ask_all(self) -> None:
         """Raises WorkersError, naming the first, when workers are not fit for the work."""

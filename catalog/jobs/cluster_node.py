@@ -56,10 +56,10 @@ def code_of(context: Any) -> dict[str, str]:
 
 def unfit(needs: Needs) -> str | None:
     """Why this process cannot do the work of one with these needs; None when it can."""
-    for (name, found), (_, wanted) in zip(surroundings(), needs["surroundings"], strict=True):
-        if found != wanted:
+    for (name, present), (_, wanted) in zip(surroundings(), needs["surroundings"], strict=True):
+        if present != wanted:
             return (
-                f"has {name} {found}, the build {wanted}: results could differ; "
+                f"has {name} {present}, the build {wanted}: results could differ; "
                 "install the same versions (requirements.lock) on all machines"
             )
     code = {"catalog": needs["code"], **needs.get("packages", {})}
@@ -87,14 +87,14 @@ def unfit(needs: Needs) -> str | None:
 
 def _file_state(path: Path) -> tuple[int, str]:
     """Size and a hash of samples spread over a file."""
-    whole = hashlib.sha256()
+    digest = hashlib.sha256()
     with path.open("rb") as file:
         size = path.stat().st_size
         last = max(size - SAMPLE_BYTES, 0)
         for at in sorted({last * i // (SAMPLES - 1) for i in range(SAMPLES)}):
             file.seek(at)
-            whole.update(file.read(SAMPLE_BYTES))
-    return size, whole.hexdigest()
+            digest.update(file.read(SAMPLE_BYTES))
+    return size, digest.hexdigest()
 
 
 _turn = threading.Lock()

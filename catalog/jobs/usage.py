@@ -31,10 +31,10 @@ MAXRSS_UNIT = 1 if sys.platform == "darwin" else 1024  # getrusage(2) of each sy
 
 
 class Peak(msgspec.Struct, frozen=True):
-    """Greatest memory of a process (bytes); not `own`: at most so much, reached before the work."""
+    """Greatest memory of a process, bytes; not `is_own`: a bound, reached before the work."""
 
     bytes: int
-    own: bool
+    is_own: bool = msgspec.field(name="own")
 
 
 class Usage(msgspec.Struct, frozen=True):
@@ -119,15 +119,15 @@ class Account(msgspec.Struct):
 
     def total(self) -> StageAccount:
         """All stages together; pieces of different stages are not added up."""
-        whole = StageAccount("total")
+        summed = StageAccount("total")
         for stage in self.stages:
-            whole.seconds += stage.seconds
-            whole.workers_cpu_s += stage.workers_cpu_s
-            whole.peak = _greater(whole.peak, stage.peak)
+            summed.seconds += stage.seconds
+            summed.workers_cpu_s += stage.workers_cpu_s
+            summed.peak = _greater(summed.peak, stage.peak)
             if stage.worker_peak is not None:
-                whole.worker_peak = _greater(whole.worker_peak, stage.worker_peak)
-            whole._add_all(stage)
-        return whole
+                summed.worker_peak = _greater(summed.worker_peak, stage.worker_peak)
+            summed._add_all(stage)
+        return summed
 
 
 def _sum(a: int | None, b: int | None, sign: int = 1) -> int | None:
@@ -136,7 +136,7 @@ def _sum(a: int | None, b: int | None, sign: int = 1) -> int | None:
 
 def _greater(a: Peak | None, b: Peak) -> Peak:
     # of equal marks the one that is known to be the work's own
-    return b if a is None or (b.bytes, b.own) > (a.bytes, a.own) else a
+    return b if a is None or (b.bytes, b.is_own) > (a.bytes, a.is_own) else a
 
 
 class _State(NamedTuple):

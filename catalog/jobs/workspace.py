@@ -90,11 +90,11 @@ class Workspace:
     def _settle_format(self) -> None:
         mark = self.folder / MARK
         if mark.is_file():
-            found = stored_json(mark.read_bytes(), _Mark) or _Mark("", 0)
-            if found.format == FORMAT:
+            stored = stored_json(mark.read_bytes(), _Mark) or _Mark("", 0)
+            if stored.format == FORMAT:
                 return
             raise OutputError(
-                f"{self.folder}: was made by another version of optnav (format {found.format}, "
+                f"{self.folder}: was made by another version of optnav (format {stored.format}, "
                 f"wanted {FORMAT}); remove it or name another work folder"
             )
         self.put(MARK, msgspec.json.encode(_Mark("optnav", FORMAT)))
@@ -123,7 +123,7 @@ class Workspace:
                 yield
             except BaseException:
                 # results lie in folders: without one, what this run made holds none
-                if self._made_now and not any(place.is_dir() for place in self.folder.iterdir()):
+                if self._made_now and not any(entry.is_dir() for entry in self.folder.iterdir()):
                     shutil.rmtree(self.folder, ignore_errors=True)
                 raise
 
@@ -181,25 +181,25 @@ def code_key(name: str = "catalog") -> str:
 
     Read once: a process goes on with the code that it has loaded, whatever is installed meanwhile.
     """
-    whole = hashlib.sha256(catalog.__version__.encode())
+    digest = hashlib.sha256(catalog.__version__.encode())
     package = Path(str(files(name)))
     for path in sorted(package.rglob("*.py")):
-        whole.update(path.relative_to(package).as_posix().encode())
-        whole.update(path.read_bytes())
-    return whole.hexdigest()
+        digest.update(path.relative_to(package).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 @cache
 def surroundings() -> tuple[tuple[str, str], ...]:
     """Name and version of what the same bytes need beside the code."""
     python = ".".join(platform.python_version_tuple()[:2])
-    found = [("python", python), ("processor", platform.machine())]
+    versions = [("python", python), ("processor", platform.machine())]
     for name in LIBRARIES:
         try:
-            found.append((name, version(name)))
+            versions.append((name, version(name)))
         except PackageNotFoundError:  # built from source under another name: cannot be compared
-            found.append((name, "unknown"))
-    return tuple(found)
+            versions.append((name, "unknown"))
+    return tuple(versions)
 
 
 def content_hash(files: Iterable[Path], workspace: Workspace, progress: Progress) -> str:
@@ -208,7 +208,7 @@ def content_hash(files: Iterable[Path], workspace: Workspace, progress: Progress
     Raises DataError for a file that cannot be read.
     """
     known = stored_json(workspace.get(HASHES) or b"", dict[str, Sha256]) or {}
-    whole = hashlib.sha256()
+    digest = hashlib.sha256()
     for path in files:
         try:
             state = path.stat()
@@ -221,9 +221,9 @@ def content_hash(files: Iterable[Path], workspace: Workspace, progress: Progress
             raise DataError(
                 f"{path}: cannot be read ({error.strerror or error}); check its permissions"
             ) from None
-        whole.update(bytes.fromhex(known[name]))
+        digest.update(bytes.fromhex(known[name]))
     workspace.put(HASHES, msgspec.json.encode(known))
-    return whole.hexdigest()
+    return digest.hexdigest()
 
 
 def encode_records(records: Sequence[Any]) -> bytes:
@@ -329,10 +329,10 @@ class ChunkResults:
         beside  of another stage, whose records the function makes on its way: it returns both
         """
         missing = [p for p in range(len(chunks)) if not self.workspace.whole(self.name(p))]
-        found = sorted(set(range(len(chunks))).difference(missing))
-        account.kept = len(found)
-        shown.keep(sum(len(chunks[position]) for position in found))
-        yield from found
+        kept = sorted(set(range(len(chunks))).difference(missing))
+        account.kept = len(kept)
+        shown.keep(sum(len(chunks[position]) for position in kept))
+        yield from kept
         kinds = (self,) if beside is None else (self, beside)
         work = [([kind.name(p) for kind in kinds], chunks[p]) for p in missing]
         coordinator = socket.gethostname(), os.getpid()
@@ -351,8 +351,8 @@ def _put(workspace: Workspace, names: Sequence[str], data: Sequence[bytes]) -> N
     Killed between them, only what it made on its way is missing, and the stage that wants that
     makes it; the other way round the whole chunk would be done again.
     """
-    for name, one in zip(names, data, strict=False):
-        workspace.put(name, one)
+    for name, content in zip(names, data, strict=False):
+        workspace.put(name, content)
 
 
 def _made(

@@ -36,7 +36,7 @@ class CellGround(NamedTuple):
                 whose first node is (i step, j step)
     lat, lon    (m, m) of the places, deg
     inside      (m, m) whether a place lies in the cell, away from its borders
-    whole       (m, m) whether its finest patches have ground
+    covered     (m, m) whether its finest patches have ground
     complete    whether the patches of all places have
     """
 
@@ -47,7 +47,7 @@ class CellGround(NamedTuple):
     lat: FloatArray
     lon: FloatArray
     inside: BoolArray
-    whole: BoolArray
+    covered: BoolArray
     complete: bool
 
 
@@ -74,8 +74,8 @@ def cell_ground(context: StageContext, cell: int) -> CellGround | None:
     lat, lon = (np.degrees(angle) for angle in projection.latlon(x, y, middles))
     inside = _inside(context, cell, lat, lon, settings.inset_cell)
     missing = _fine_patches_missing(context, projection, x, y)
-    whole, complete = missing <= MAX_MISSING, not missing.any()
-    return CellGround(projection, heights, window, step, lat, lon, inside, whole, complete)
+    covered, complete = missing <= MAX_MISSING, not missing.any()
+    return CellGround(projection, heights, window, step, lat, lon, inside, covered, complete)
 
 
 def strongest_of(context: StageContext, cell: int, ground: CellGround) -> list[tuple[int, int]]:
@@ -86,7 +86,7 @@ def strongest_of(context: StageContext, cell: int, ground: CellGround) -> list[t
         blurred(ground.heights), context.posting_m, ground.window, sun_products(suns), ground.step
     )
     radius = separation_places(context, ground)
-    free = np.where(ground.inside & ground.whole, response, np.nan)
+    free = np.where(ground.inside & ground.covered, response, np.nan)
     peaks = strongest_peaks(free, radius, context.config.render.candidates)
     if not peaks:  # holes everywhere, or ground without any relief: kept, for the record
         known = np.where(ground.inside, response + np.float32(1e-30), np.nan)

@@ -83,14 +83,14 @@ class Certificate:
 
     def _examined(self) -> Flag:
         """What the patches tell by themselves; sets the shadow limits."""
-        settings, place, context = self.settings, self.place, self._context
+        settings, candidate, context = self.settings, self.place, self._context
         flags = Flag.NONE
         # of a whole raster no patch has a hole; a mesh may overhang
         if not (context.mosaic.whole and context.mosaic.has_graticules):
             fine = self.patches[: cell_map.FINE_LEVELS]
             if max(np.isnan(patch.heights_m).mean() for patch in fine) > cell_map.MAX_MISSING:
                 flags |= Flag.NO_DATA
-        if not place.localisation_nodes <= settings.max_localisation_nodes:
+        if not candidate.localisation_nodes <= settings.max_localisation_nodes:
             flags |= Flag.FLAT
         if self.spacing < 1.0:
             flags |= Flag.CROWDED
@@ -104,7 +104,7 @@ class Certificate:
             self._projection.radius_m,
         )
         suns = cell_map.suns_of(
-            context.config.render, context.sun_latitude_deg(place.lat_deg, place.lon_deg)
+            context.config.render, context.sun_latitude_deg(candidate.lat_deg, candidate.lon_deg)
         )
         if shadowed_share(self.shadow_limits_deg, suns) > settings.max_shadowed:
             flags |= Flag.SHADOWED
@@ -192,10 +192,10 @@ def check_and_prepare_chunk(
     points, prepared = [], []
     with held_settings():
         for record in records:
-            found = check_cell(context, record)
-            points.append(_point(context, found))
+            certificate = check_cell(context, record)
+            points.append(_point(context, certificate))
             if math.isfinite(points[-1].radius_m):
-                prepared.append(prepare_point(points[-1], found.patches, steps))
+                prepared.append(prepare_point(points[-1], certificate.patches, steps))
     return points, sorted(prepared, key=lambda one: one.point.id)
 
 
@@ -206,13 +206,13 @@ def check_cell(context: StageContext, record: SelectedCell) -> Certificate:
     than it takes to see that it passes well, that it is out, or no better than one before it.
     """
     best: Certificate | None = None
-    for number, place in enumerate(record.places[: context.config.check.places]):
-        found = Certificate(context, record, place, number)
-        found.try_for(best.successes + 1 if best is not None and best.usable else 0)
-        if found.passes_well:
-            return found
-        if best is None or found.merit > best.merit:
-            best = found
+    for number, candidate in enumerate(record.places[: context.config.check.places]):
+        certificate = Certificate(context, record, candidate, number)
+        certificate.try_for(best.successes + 1 if best is not None and best.usable else 0)
+        if certificate.passes_well:
+            return certificate
+        if best is None or certificate.merit > best.merit:
+            best = certificate
     if best is None:
         raise ValueError(f"cell {record.cell}: no place to check")
     if not best.usable:
@@ -263,25 +263,25 @@ def _uniqueness(
     return tuple(margins)
 
 
-def _point(context: StageContext, found: Certificate) -> ControlPoint:
+def _point(context: StageContext, certificate: Certificate) -> ControlPoint:
     """With its certificate, and its place in a comparison model."""
-    place, terrain = found.place, context.mosaic
-    lat, lon = math.radians(place.lat_deg), math.radians(place.lon_deg)
+    candidate, terrain = certificate.place, context.mosaic
+    lat, lon = math.radians(candidate.lat_deg), math.radians(candidate.lon_deg)
     height_m = float(np.nan_to_num(terrain.heights(lat, lon, context.posting_m)))
-    projection = context.projection(place.lat_deg, place.lon_deg)
+    projection = context.projection(candidate.lat_deg, candidate.lon_deg)
     point = ControlPoint(
-        id=found.cell,
-        lat_deg=place.lat_deg,
-        lon_deg=place.lon_deg,
+        id=certificate.cell,
+        lat_deg=candidate.lat_deg,
+        lon_deg=candidate.lon_deg,
         radius_m=context.body.radius_m + height_m,
-        localisation_nodes=place.localisation_nodes,
-        hessian_eigenvalue=place.hessian_eigenvalue,
-        recognition_rate=found.recognition_rate,
-        trials=found.trials,
-        uniqueness=found.uniqueness,
-        shadow_limit_deg=tuple(found.shadow_limits_deg.tolist()),
-        usable=found.usable,
-        flags=found.flags,
+        localisation_nodes=candidate.localisation_nodes,
+        hessian_eigenvalue=candidate.hessian_eigenvalue,
+        recognition_rate=certificate.recognition_rate,
+        trials=certificate.trials,
+        uniqueness=certificate.uniqueness,
+        shadow_limit_deg=tuple(certificate.shadow_limits_deg.tolist()),
+        usable=certificate.usable,
+        flags=certificate.flags,
         source=terrain.provenance(projection, context.posting_m, context.size),
     )
     if terrain.own_planes:

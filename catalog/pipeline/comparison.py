@@ -91,26 +91,26 @@ def shift_at(context: StageContext, lat_deg: float, lon_deg: float) -> Compariso
     posting = context.postings_m[level]
     projection = context.projection(lat_deg, lon_deg)
     template = min(context.config.check.template_nodes, context.size) + 2 * MARGIN_NODES
-    own = context.mosaic.local_grid(projection, posting, template)
-    found = ComparisonShift(0.0, 0.0, level, 0.0)
+    reference = context.mosaic.local_grid(projection, posting, template)
+    total = ComparisonShift(0.0, 0.0, level, 0.0)
     # Sought again about the place that was found: a peak between two nodes is drawn to one of them.
     for _ in range(PASSES):
-        about = _moved(projection, found)
+        about = _moved(projection, total)
         other = model.local_grid(about, posting, template + 2 * SEARCH_NODES)
-        if min(np.isfinite(own).mean(), np.isfinite(other).mean()) < MIN_KNOWN_SHARE:
+        if min(np.isfinite(reference).mean(), np.isfinite(other).mean()) < MIN_KNOWN_SHARE:
             return None
-        shift, score = _match(context, own, other, posting, projection)
-        east, north = (np.array([found.east_m, found.north_m]) + shift).tolist()
-        found = ComparisonShift(east, north, level, score)
+        shift, score = _match(context, reference, other, posting, projection)
+        east, north = (np.array([total.east_m, total.north_m]) + shift).tolist()
+        total = ComparisonShift(east, north, level, score)
         if not np.isfinite(shift).all():
             break
-    return found
+    return total
 
 
 def _moved(projection: MapProjection, shift: ComparisonShift) -> Stereographic:
     """The map projection centred on a place of another one's map."""
-    place = projection.points(np.array(shift.east_m), np.array(shift.north_m), 0.0)
-    lat, lon, _ = (float(value) for value in latlon_from_xyz(place))
+    centre = projection.points(np.array(shift.east_m), np.array(shift.north_m), 0.0)
+    lat, lon, _ = (float(value) for value in latlon_from_xyz(centre))
     return Stereographic(lat, lon, projection.radius_m)
 
 

@@ -84,10 +84,12 @@ def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord], Mosaic | None, list
     Raises DataError for a file that cannot be used, OutputError for a workspace that cannot.
     """
     ground, comparison = (_read(run, run.config.dems_of(role)) for role in ("ground", "comparison"))
-    records = [[record for _, record in found] for found in (ground, comparison)]
-    kept = {record.folder.removeprefix("dem-") for found in records for record in found}
+    records = [[record for _, record in by_role] for by_role in (ground, comparison)]
+    kept = {record.folder.removeprefix("dem-") for by_role in records for record in by_role}
     run.workspace.keep_only("dem", kept)
-    mosaics = [Mosaic([p for p, _ in found]) if found else None for found in (ground, comparison)]
+    mosaics = [
+        Mosaic([p for p, _ in by_role]) if by_role else None for by_role in (ground, comparison)
+    ]
     if mosaics[0] is None:
         raise ValueError("a build needs a terrain model")
     return mosaics[0], records[0], mosaics[1], records[1]
@@ -96,28 +98,28 @@ def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord], Mosaic | None, list
 def _read(run: IngestRun, sections: Sequence[DemSection]) -> list[tuple[HeightPyramid, DemRecord]]:
     """Terrain models with their overviews, made or kept."""
     body, workspace = run.body, run.workspace
-    found: list[tuple[HeightPyramid, DemRecord]] = []
+    pyramids: list[tuple[HeightPyramid, DemRecord]] = []
     for section in sections:
         # what a model is for, and how far it is wrong, does not change how it is read
-        one = DemSettings(*(getattr(section, name) for name in DemSettings.__struct_fields__))
-        source = DemSource.open(one, run.folder, body)
+        settings = DemSettings(*(getattr(section, name) for name in DemSettings.__struct_fields__))
+        source = DemSource.open(settings, run.folder, body)
         digest = content_hash(source.files, workspace, run.progress)
         # where the file lies, how it ranks and how it ends do not change its overviews
-        plain = {k: v for k, v in msgspec.structs.asdict(one).items() if k not in UNIMPORTANT}
+        plain = {k: v for k, v in msgspec.structs.asdict(settings).items() if k not in UNIMPORTANT}
         folder = f"dem-{stage_key(FORMAT, body.name, body.radius_m, plain, digest)}"
-        place = workspace.path(folder)
-        pyramid = HeightPyramid.load(source, place)
+        path = workspace.path(folder)
+        pyramid = HeightPyramid.load(source, path)
         if pyramid is None:
-            pyramid = HeightPyramid.build(source, place, run.workers, run.progress)
+            pyramid = HeightPyramid.build(source, path, run.workers, run.progress)
             run.account.done += 1
         else:
             run.account.kept += 1
-        found.append((pyramid, _record(pyramid, digest, folder)))
-    return found
+        pyramids.append((pyramid, _record(pyramid, digest, folder)))
+    return pyramids
 
 
 def _record(pyramid: HeightPyramid, digest: str, folder: str) -> DemRecord:
-    source, found = pyramid.source, pyramid.record
+    source, overviews = pyramid.source, pyramid.record
     west, south, east, north = (float(np.degrees(angle)) for angle in source.latlon_bounds())
     return DemRecord(
         name=source.path.name,
@@ -130,9 +132,9 @@ def _record(pyramid: HeightPyramid, digest: str, folder: str) -> DemRecord:
         posting_m=source.posting_m,
         heights=source.heights,
         units=source.units,
-        lowest_m=found.lowest_m,
-        highest_m=found.highest_m,
-        valid_share=found.valid_share,
+        lowest_m=overviews.lowest_m,
+        highest_m=overviews.highest_m,
+        valid_share=overviews.valid_share,
         bounds_deg=(west, south, east, north),
     )
 
@@ -216,10 +218,14 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
     plain = MeshSettings(path.suffix, settings.units, settings.longitude)
     key = stage_key(code_key(), body.name, body.radii_m, plain, digest, finest_m)
     folder = f"mesh-{key}"
-    found = workspace.get(f"{folder}/{RECORD}")
-    record = None if found is None else stored_json(found, MeshRecord)
-    place = workspace.path(folder, CORNERS)
-    if record is not None and place.is_file() and hash_file(place) == record.corners_sha256:
+    stored = workspace.get(f"{folder}/{RECORD}")
+    record = None if stored is None else stored_json(stored, MeshRecord)
+    corners_path = workspace.path(folder, CORNERS)
+    if (
+        record is not None
+        and corners_path.is_file()
+        and hash_file(corners_path) == record.corners_sha256
+    ):
         run.account.kept += 1
     else:
         shape = load_shape(settings, run.folder, body, run.progress)
@@ -254,9 +260,9 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
             *(path.name, finest_m, record.posting_m),
         )
     # no ellipsoid follows such ground: patches lie in planes of their own
-    own = record.hidden > MAX_HIDDEN
-    normals_m = NORMALS_SHARE * run.config.pyramid.size * finest_m if own else 0.0
-    return MeshTerrain(body, place, record.name, record.posting_m, normals_m), record
+    own_planes = record.hidden > MAX_HIDDEN
+    normals_m = NORMALS_SHARE * run.config.pyramid.size * finest_m if own_planes else 0.0
+    return MeshTerrain(body, corners_path, record.name, record.posting_m, normals_m), record
 
 
 def _halvings(shape: Shape, finest_m: float) -> int:

@@ -52,8 +52,8 @@ def settle_relief(run: IngestRun, mosaic: Mosaic, dems: list[DemRecord]) -> Reli
     Raises DataError when the named terrain model cannot be used or the whole is not the body's.
     """
     workspace, wanted = run.workspace, run.config.relief.dem
-    own = [share_within_bounds(p.source) * p.record.valid_share for p in mosaic.pyramids]
-    if wanted is None and sum(own) < MIN_COVERAGE:
+    shares = [share_within_bounds(p.source) * p.record.valid_share for p in mosaic.pyramids]
+    if wanted is None and sum(shares) < MIN_COVERAGE:
         workspace.keep_only("relief", set())
         return None
     named, sources = None, {}
@@ -61,14 +61,14 @@ def settle_relief(run: IngestRun, mosaic: Mosaic, dems: list[DemRecord]) -> Reli
     if wanted is not None:
         try:
             named = DemSource.open(wanted, run.folder, mosaic.body, "[relief] dem")
-            check_share(sum(own) + share_within_bounds(named), named.path, mosaic.body)
+            check_share(sum(shares) + share_within_bounds(named), named.path, mosaic.body)
         except DataError as error:
             raise DataError(f"{run.config_path}: [relief] dem: {error}") from None
         digest = content_hash(named.files, workspace, run.progress)
         sources = {f"{named.path.name} (relief)": digest}
         parts += [digest, msgspec.structs.replace(wanted, path="")]
     key = stage_key(code_key(), mosaic.body.name, parts)
-    make_or_keep(run, key, lambda: _made(run, mosaic, own, named))
+    make_or_keep(run, key, lambda: _made(run, mosaic, shares, named))
     if named is not None:
         named.close()
     return ReliefRecord(key, sources)
@@ -91,19 +91,19 @@ def stored_relief(workspace: Workspace, record: ReliefRecord) -> PreparedRelief 
 
     Raises DataError for a work folder whose medium fails.
     """
-    found = workspace.records(_name(record.key), PreparedRelief)
-    if found is None:
+    records = workspace.records(_name(record.key), PreparedRelief)
+    if records is None:
         raise DataError(
             f"{workspace.path(_name(record.key))}: changed after it was written; its medium may be "
             "failing: give the same command again"
         )
-    return found[0] if found else None
+    return records[0] if records else None
 
 
 def _made(
-    run: IngestRun, mosaic: Mosaic, own: list[float], named: DemSource | None
+    run: IngestRun, mosaic: Mosaic, shares: list[float], named: DemSource | None
 ) -> PreparedRelief | None:
-    body, sums = mosaic.body, CellSums(_rows(mosaic, own, named))
+    body, sums = mosaic.body, CellSums(_rows(mosaic, shares, named))
     cell_m = np.pi * body.radius_m / len(sums.means)
     names, covered = [], 0.0
     for pyramid, name in zip(mosaic.pyramids, mosaic.names):
@@ -124,22 +124,22 @@ def _made(
     return prepare_relief(finished(sums, body.radius_m, " + ".join(names)))
 
 
-def _rows(mosaic: Mosaic, own: list[float], named: DemSource | None) -> int:
+def _rows(mosaic: Mosaic, shares: list[float], named: DemSource | None) -> int:
     """Rows of the relief: half of the body's ground is shown by models as fine, or finer."""
     steps = [pyramid.source.place.row_angle for pyramid in mosaic.pyramids]
     if named is not None:
         steps.append(named.place.row_angle)
-        own = [*own, max(0.0, 1.0 - sum(own))]
+        shares = [*shares, max(0.0, 1.0 - sum(shares))]
     order = np.argsort(steps, kind="stable")
-    shown = np.cumsum(np.array(own)[order])
+    shown = np.cumsum(np.array(shares)[order])
     return rows_of(steps[order[int(np.searchsorted(shown, shown[-1] / 2.0))]])
 
 
 def _layer(pyramid: HeightPyramid, posting_m: float) -> Layer:
     """A model at the overview that has this posting, or at its own where none is as fine."""
     level = pyramid.level_for(posting_m)
-    own = level == 0 and not pyramid.record.tiled_copy
-    block = pyramid.source.block_shape if own else (BLOCK, BLOCK)
+    is_untiled = level == 0 and not pyramid.record.tiled_copy
+    block = pyramid.source.block_shape if is_untiled else (BLOCK, BLOCK)
     read = partial(pyramid.read, level)
     return Layer(pyramid.source.place, level, pyramid.shape(level), block, read)
 

@@ -58,17 +58,17 @@ def render_chunk(context: StageContext, cells: Sequence[int]) -> list[RenderedCe
 
 def _rendered(context: StageContext, cells: Sequence[int]) -> list[RenderedCell]:
     records = []
-    for cell, found in shortlists(context, cells).items():
+    for cell, shortlist in shortlists(context, cells).items():
         latitude = context.sun_latitude_deg(*context.grid.centre_deg(cell))
         suns = suns_of(context.config.render, latitude)
         scores = [
             score
-            for group in _groups(context, found.places)
+            for group in _groups(context, shortlist.places)
             for score in _scores(context, suns, group)
         ]
         candidates = [
-            Candidate(lat, lon, *score, _missing(context, lat, lon, found.complete))
-            for (lat, lon), score in zip(found.places.tolist(), scores, strict=True)
+            Candidate(lat, lon, *score, _missing(context, lat, lon, shortlist.complete))
+            for (lat, lon), score in zip(shortlist.places.tolist(), scores, strict=True)
         ]
         records.append(RenderedCell(cell, tuple(candidates)))
     return records

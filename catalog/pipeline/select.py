@@ -42,11 +42,13 @@ def select(context: StageContext, records: Sequence[RenderedCell]) -> list[Selec
     ordered = sorted(records, key=lambda record: record.cell)
     cells = [record.cell for record in ordered for _ in record.candidates]
     dark = context.config.check.max_shadowed if context.mosaic.own_planes else 0.0
-    places = [place for record in ordered for place in _places(record, settings.percentile, dark)]
+    places = [
+        candidate for record in ordered for candidate in _places(record, settings.percentile, dark)
+    ]
     choices = choose_spaced(
         cells,
-        np.array([place.lat_deg for place in places]),
-        np.array([place.lon_deg for place in places]),
+        np.array([candidate.lat_deg for candidate in places]),
+        np.array([candidate.lon_deg for candidate in places]),
         # places with holes in their fine patches come after all others
         np.array([p.localisation_nodes + 1e6 * (p.missing > MAX_MISSING) for p in places]),
         settings.spacing_cell * context.grid.step_deg,

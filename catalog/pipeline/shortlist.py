@@ -110,7 +110,7 @@ def shortlists(context: StageContext, cells: Sequence[int]) -> dict[int, Shortli
     """Shortlists by cell, in the order of the cells; without cells that have no ground at all."""
     asked = np.asarray(cells, dtype=np.int64)
     zone_of = _zone_of(context, context.grid.bands_of(asked))
-    found: dict[int, Shortlist] = {}
+    by_cell: dict[int, Shortlist] = {}
     mosaic = context.mosaic
     # without graticules each cell has a map grid of its own
     zones = np.unique(zone_of).tolist() if mosaic.has_graticules else []
@@ -119,12 +119,12 @@ def shortlists(context: StageContext, cells: Sequence[int]) -> dict[int, Shortli
         if zone is not None:
             spans = _spans(context, zone, asked[zone_of == number])
             for group in _groups(zone, spans):
-                found.update(_swept(context, mosaic, zone, group))
+                by_cell.update(_swept(context, mosaic, zone, group))
     for cell in asked.tolist():
-        alone = None if cell in found else _alone(context, cell)
+        alone = None if cell in by_cell else _alone(context, cell)
         if alone is not None:
-            found[cell] = alone
-    return {cell: found[cell] for cell in asked.tolist() if cell in found}
+            by_cell[cell] = alone
+    return {cell: by_cell[cell] for cell in asked.tolist() if cell in by_cell}
 
 
 def _alone(context: StageContext, cell: int) -> Shortlist | None:
@@ -159,9 +159,9 @@ def _zone(context: StageContext, number: int) -> Zone | None:
     step = places_step(window)
     row_angle = context.posting_m / context.body.radius_m
     bands = np.arange(context.grid.bands)
-    own = bands[_zone_of(context, bands) == number]
-    south = float(np.radians(own[0] * context.grid.step_deg - 90.0))
-    north = min(float(np.radians((own[-1] + 1) * context.grid.step_deg - 90.0)), np.pi / 2.0)
+    zone_bands = bands[_zone_of(context, bands) == number]
+    south = float(np.radians(zone_bands[0] * context.grid.step_deg - 90.0))
+    north = min(float(np.radians((zone_bands[-1] + 1) * context.grid.step_deg - 90.0)), np.pi / 2.0)
     halo = (window / 2.0 + step + MARGIN) * row_angle
     reach = south - halo, north + halo
     served = _crowding(south, north) <= MAX_CROWDED and _crowding(*reach) <= MAX_CROWDED_REACH
@@ -234,10 +234,10 @@ def _swept(
         band = group.part(group.top == top)
         firsts = np.arange(top, band.bottom[0])
         wide = zone.wide(firsts)
-        own = tiles[:, top - row : int(band.bottom[0]) - row + zone.tall - 1]
+        band_tiles = tiles[:, top - row : int(band.bottom[0]) - row + zone.tall - 1]
         suns = suns_of(settings, context.grid.centre_deg(int(band.cells[0]))[0])
         peaks = strongest_windows(
-            window_eigenvalues(own, zone.tall, wide, sun_products(suns)),
+            window_eigenvalues(band_tiles, zone.tall, wide, sun_products(suns)),
             wide,
             band.west - col,
             band.east - col,
@@ -249,8 +249,8 @@ def _swept(
         places = np.stack([lat_deg, lon_deg], axis=-1)
         counts = (peaks[..., 0] >= 0).sum(axis=1).tolist()
         # holes would leave a cell with some of its places: such cells are looked at one by one
-        whole = bool(np.isfinite(own).all())
+        complete = bool(np.isfinite(band_tiles).all())
         for i, cell in enumerate(band.cells.tolist()):
-            cut = own[:, :, band.first[i] - col : band.end[i] - col]
-            if counts[i] and (whole or np.isfinite(cut).all()):
+            cut = band_tiles[:, :, band.first[i] - col : band.end[i] - col]
+            if counts[i] and (complete or np.isfinite(cut).all()):
                 yield cell, Shortlist(places[i, : counts[i]], complete=True)

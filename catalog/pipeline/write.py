@@ -108,8 +108,8 @@ def write(
     if terrain.in_planes:
         points = [point for chunk in chunks for point in chunk]
         verticals = {point.id: rounded_vertical(point.vertical_deg) for point in points}
-        own = {number: vertical for number, vertical in verticals.items() if vertical is not None}
-        planes = PlanesMeta(context.body.radii_m, terrain.posting_m, own)
+        known = {number: vertical for number, vertical in verticals.items() if vertical is not None}
+        planes = PlanesMeta(context.body.radii_m, terrain.posting_m, known)
     meta = CatalogMeta(
         body=context.body.name,
         radius_m=context.body.radius_m,
@@ -146,8 +146,8 @@ def prepare_chunk(context: StageContext, points: Sequence[ControlPoint]) -> list
     # the patches are centred on the place that the catalog will state
     with held_settings():
         return [
-            prepare_point(place, context.patches(place.lat_deg, place.lon_deg), steps)
-            for place in map(rounded_point, points)
+            prepare_point(point, context.patches(point.lat_deg, point.lon_deg), steps)
+            for point in map(rounded_point, points)
         ]
 
 

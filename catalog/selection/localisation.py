@@ -220,10 +220,10 @@ def _structure_tensor(brightness: Float32Array) -> tuple[float, float, float, fl
             gx = 0.5 * (np.float64(here[c + 2]) - np.float64(here[c]))
             gy = 0.5 * (np.float64(below[c]) - np.float64(above[c]))
             value = np.float64(here[c + 1])
-            whole = (gx == gx) & (gy == gy)
-            sxx[c] += gx * gx if whole else 0.0
-            sxy[c] += gx * gy if whole else 0.0
-            syy[c] += gy * gy if whole else 0.0
+            has_gradient = (gx == gx) & (gy == gy)
+            sxx[c] += gx * gx if has_gradient else 0.0
+            sxy[c] += gx * gy if has_gradient else 0.0
+            syy[c] += gy * gy if has_gradient else 0.0
             values[c] += value if value == value else 0.0
             known[c] += 1 if value == value else 0
     mxx, mxy, myy, total, count = sxx.sum(), sxy.sum(), syy.sum(), values.sum(), known.sum()
@@ -255,11 +255,11 @@ def _half_taps() -> Float32Array:
 
 
 @bare_kernel
-def _mirrored(place: int, count: int) -> int:
-    """A place among so many, those beyond the ends mirrored about the end ones."""
-    while count > 1 and not 0 <= place < count:
-        place = -place if place < 0 else 2 * (count - 1) - place
-    return place if count > 1 else 0
+def _mirrored(index: int, count: int) -> int:
+    """An index among so many, those beyond the ends mirrored about the end ones."""
+    while count > 1 and not 0 <= index < count:
+        index = -index if index < 0 else 2 * (count - 1) - index
+    return index if count > 1 else 0
 
 
 @bare_kernel

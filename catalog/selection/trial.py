@@ -191,7 +191,7 @@ def run_trial(
     # written out: the library takes ten times as long for so small a matrix
     ground_from_picture = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
     picture_from_ground = np.eye(2)  # as estimated so far
-    place = np.zeros(2)  # the point's estimated place in the picture, m east and north
+    position = np.zeros(2)  # the point's estimated place in the picture, m east and north
     sun, view = circumstances.sun_local, circumstances.view_local
     grids = [*((level.reference, level.posting_m) for level in levels), *outer]
     templates, around = render_levels(
@@ -203,7 +203,7 @@ def run_trial(
         template = _centre(templates[number], search.template_nodes)
         room = search.coarse_nodes if coarsest else search.fine_nodes
         window = search.template_nodes + 2 * room
-        offset = ground_from_picture @ (place - circumstances.shift_m) / posting_m
+        offset = ground_from_picture @ (position - circumstances.shift_m) / posting_m
         truth_from_ground = level.finer * _FLIP
         offset = truth_from_ground @ offset
         truth_from_picture = truth_from_ground @ ground_from_picture @ picture_from_ground @ _FLIP
@@ -231,11 +231,11 @@ def run_trial(
         else:
             match = match_ncc(template, picture)
             step = picture_from_ground @ np.array([match.dx, -match.dy])
-        place = place + step * step_m
+        position = position + step * step_m
         is_peak = bool(np.isfinite(match.covariance).all())
         if not is_peak:
             break
-    error = (place - circumstances.shift_m) / levels[0].posting_m
+    error = (position - circumstances.shift_m) / levels[0].posting_m
     accepted = (
         is_peak
         and match.score >= gate.min_score
@@ -300,8 +300,8 @@ def _noise(size: int, rng: np.random.Generator) -> Float32Array:
 
 @lru_cache(maxsize=8)
 def _noise_about(size: int) -> Float32Array:
-    whole = size + NOISE_ROOM, size + NOISE_ROOM
-    return np.random.default_rng(NOISE_SEED).standard_normal(whole, dtype=np.float32)
+    shape = size + NOISE_ROOM, size + NOISE_ROOM
+    return np.random.default_rng(NOISE_SEED).standard_normal(shape, dtype=np.float32)
 
 
 @kernel
@@ -340,8 +340,8 @@ def exposed(sampled: Float32Array, noise: Float32Array, relative_noise: float) -
         out[:] = np.nan
         return out
     # the percentile lies between two of the brightest, the first two of `top`, which rises
-    place = (valid - 1) * EXPOSURE_PERCENTILE / 100.0
-    below = int(place)
+    rank = (valid - 1) * EXPOSURE_PERCENTILE / 100.0
+    below = int(rank)
     top = np.full(valid - below, -np.inf, np.float32)
     sigma = np.float32(total / valid * relative_noise)
     for r in range(rows):
@@ -352,7 +352,7 @@ def exposed(sampled: Float32Array, noise: Float32Array, relative_noise: float) -
                 _insert(top, value)
     white = float(top[0])
     if top.size > 1:
-        white += (place - below) * (float(top[1]) - white)
+        white += (rank - below) * (float(top[1]) - white)
     gain = np.float32(COUNTS / max(white, 1e-6))
     for r in range(rows):
         line = out[r]

@@ -78,16 +78,16 @@ def quantise(heights: Float32Array, step: float) -> tuple[Int16Array, float, flo
     """
     values = np.asarray(heights, dtype=np.float64)
     known = np.isfinite(values)
-    whole = bool(known.all())
-    seen = values if whole else values[known]
+    complete = bool(known.all())
+    seen = values if complete else values[known]
     if not seen.size:
         return np.full(values.shape, NO_DATA_COUNT, dtype=np.int16), step, 0.0
     low, high = float(seen.min()), float(seen.max())
     while (high - low) / step > 2 * MAX_COUNT - 2:
         step *= 2.0
     offset = float(np.rint((low + high) / 2.0 / step) * step) + 0.0  # + 0.0 makes -0.0 a 0.0
-    counts = np.rint(((values if whole else np.where(known, values, offset)) - offset) / step)
-    if not whole:
+    counts = np.rint(((values if complete else np.where(known, values, offset)) - offset) / step)
+    if not complete:
         counts = np.where(known, counts, NO_DATA_COUNT)
     return counts.astype(np.int16), step, offset
 

@@ -51,7 +51,7 @@ def _known(value: float | None) -> float:
 
 def _digest(rows: Iterable[Row]) -> str:
     """SHA-256 of the rows: id, east, north, level, score, little-endian; NaN for unknown."""
-    whole = hashlib.sha256()
+    digest = hashlib.sha256()
     for number, east, north, level, score in rows:
-        whole.update(_ROW.pack(number, _known(east), _known(north), level, score))
-    return whole.hexdigest()
+        digest.update(_ROW.pack(number, _known(east), _known(north), level, score))
+    return digest.hexdigest()

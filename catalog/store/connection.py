@@ -135,23 +135,23 @@ def live_log(path: Path) -> Path | None:
 def _check_length(path: Path, header: bytes, size: int) -> None:
     """Compare the file's length with the page count in its header (SQLite file format, 1.3)."""
     page_size, pages = (int.from_bytes(header[part], "big") for part in PAGES)
-    whole = pages * (65536 if page_size == 1 else page_size)
+    wanted = pages * (65536 if page_size == 1 else page_size)
     # the count is kept only by programs that write both version numbers alike
-    if header[COUNTER] == header[COUNTER_AGAIN] and size < whole:
+    if header[COUNTER] == header[COUNTER_AGAIN] and size < wanted:
         raise DataError(
-            f"{path}: is cut short: {size} bytes of {whole}; copy it again or build it again"
+            f"{path}: is cut short: {size} bytes of {wanted}; copy it again or build it again"
         )
 
 
 def put_seal(path: Path) -> None:
     """Write the seal into a closed catalog file whose manifest has OPEN_SEAL in its place."""
     with path.open("r+b") as file:
-        place = _find(file, f"{SEAL}{OPEN_SEAL}".encode("ascii"))
-        if place < 0:
+        offset = _find(file, f"{SEAL}{OPEN_SEAL}".encode("ascii"))
+        if offset < 0:
             raise ValueError(f"{path}: its manifest has no place for a seal")
-        place += len(SEAL)
-        seal = f"{_counters(file)[0]}:{_hash(file, place)}".encode("ascii")
-        file.seek(place)
+        offset += len(SEAL)
+        seal = f"{_counters(file)[0]}:{_hash(file, offset)}".encode("ascii")
+        file.seek(offset)
         file.write(seal)
 
 
@@ -160,13 +160,13 @@ def seal_state(path: Path, seal: str) -> SealState:
     if not seal:
         return SealState.NONE
     with path.open("rb") as file:
-        place = _find(file, f"{SEAL}{seal}".encode("utf-8", "surrogatepass"))
-        whole = place >= 0 and _hash(file, place + len(SEAL)) == seal[COUNTER_DIGITS + 1 :]
+        offset = _find(file, f"{SEAL}{seal}".encode("utf-8", "surrogatepass"))
+        intact = offset >= 0 and _hash(file, offset + len(SEAL)) == seal[COUNTER_DIGITS + 1 :]
         counter, again = _counters(file)
     moved = counter != seal[:COUNTER_DIGITS]
-    if whole and not moved:
+    if intact and not moved:
         return SealState.WHOLE
-    return SealState.OPENED if moved and not whole and counter == again else SealState.BROKEN
+    return SealState.OPENED if moved and not intact and counter == again else SealState.BROKEN
 
 
 def _counters(file: BinaryIO) -> tuple[str, str]:
@@ -183,9 +183,9 @@ def _find(file: BinaryIO, text: bytes) -> int:
     start, data = 0, b""
     while piece := file.read(PIECE):
         data += piece
-        found = data.find(text)
-        if found >= 0:
-            return start + found
+        index = data.find(text)
+        if index >= 0:
+            return start + index
         kept = min(len(text) - 1, len(data))
         start, data = start + len(data) - kept, data[len(data) - kept :]
     return -1
@@ -193,14 +193,14 @@ def _find(file: BinaryIO, text: bytes) -> int:
 
 def _hash(file: BinaryIO, place: int) -> str:
     """SHA-256 of a file with the seal at `place` taken as open."""
-    whole = hashlib.sha256()
+    digest = hashlib.sha256()
     file.seek(0)
     left = place
     while piece := file.read(min(PIECE, left)):
-        whole.update(piece)
+        digest.update(piece)
         left -= len(piece)
-    whole.update(OPEN_SEAL.encode("ascii"))
+    digest.update(OPEN_SEAL.encode("ascii"))
     file.seek(place + len(OPEN_SEAL))
     while piece := file.read(PIECE):
-        whole.update(piece)
-    return whole.hexdigest()
+        digest.update(piece)
+    return digest.hexdigest()

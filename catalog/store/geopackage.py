@@ -220,10 +220,10 @@ def table_columns(path: Path, table: str) -> tuple[str, ...]:
     uri = f"file:{quote(os.fsencode(path.absolute()))}?mode=ro&immutable=1"
     try:
         with closing(sqlite3.connect(uri, uri=True)) as db:
-            found = db.execute("SELECT name FROM pragma_table_info(?)", (table,)).fetchall()
+            rows = db.execute("SELECT name FROM pragma_table_info(?)", (table,)).fetchall()
     except DATABASE_ERRORS:
         return ()
-    return tuple(column for (column,) in found)
+    return tuple(column for (column,) in rows)
 
 
 def srs_of(body: str, radius_m: float) -> tuple[int, str, str, int, str]:
@@ -312,8 +312,8 @@ def parts_geometry(kind: Kind, parts: Sequence[FloatArray], srs_id: int) -> byte
     code = _PART_CODES[kind]
     data = [_HEADER.pack(b"GP", 0, 1, srs_id, 1, code + 3, len(parts))]
     for part in parts:
-        one = (1, code, len(part)) if code == 2 else (1, code, 1, len(part))
-        data += [(_LINE if code == 2 else _POLYGON).pack(*one), part.astype("<f8").tobytes()]
+        fields = (1, code, len(part)) if code == 2 else (1, code, 1, len(part))
+        data += [(_LINE if code == 2 else _POLYGON).pack(*fields), part.astype("<f8").tobytes()]
     return b"".join(data)
 
 

@@ -54,7 +54,7 @@ def _nearest_row(
     x, y, z = cos_lat * math.cos(lon), cos_lat * math.sin(lon), math.sin(lat)
     east_of_start = lon_deg + 180.0
     bands = cells_in_band.size
-    own = min(max(int((lat_deg + 90.0) / step_deg), 0), bands - 1)
+    home_band = min(max(int((lat_deg + 90.0) / step_deg), 0), bands - 1)
     best, best_row = np.inf, -1
     going_up, going_down = True, True
     for turn in range(2 * bands):
@@ -63,7 +63,7 @@ def _nearest_row(
         up = turn % 2 == 1
         if (up and not going_up) or (not up and not going_down):
             continue
-        band = own + distance if up else own - distance
+        band = home_band + distance if up else home_band - distance
         gap = band * step_deg - 90.0 - lat_deg if up else lat_deg + 90.0 - (band + 1) * step_deg
         if band < 0 or band >= bands or (turn > 0 and _parallel_bound(gap) > best):
             if up:
@@ -87,13 +87,13 @@ def _nearest_row(
                 if side == 0:  # eastward
                     row = low + (start - low + k) % rows
                     steps = (column[row] - home) % count
-                    away = steps * width - into
+                    aside = steps * width - into
                 else:
                     row = low + (start - low - 1 - k) % rows
                     steps = (home - column[row]) % count
-                    away = into + (steps - 1) * width
+                    aside = into + (steps - 1) * width
                 # the other side comes first to what lies beyond 180 degrees
-                if steps > 0 and (away >= 180.0 or _meridian_bound(away, cos_lat) > best):
+                if steps > 0 and (aside >= 180.0 or _meridian_bound(aside, cos_lat) > best):
                     break
                 dx = direction[row, 0] - x
                 dy = direction[row, 1] - y

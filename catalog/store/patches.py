@@ -84,10 +84,10 @@ def check_patch(row: Sequence[object], level: int, meta: CatalogMeta) -> None:
 
 def stored_patch_from_row(row: Sequence[object], point_id: int, level: int) -> StoredPatch:
     """A row (columns as PATCH_COLUMNS) as it is. Raises DataError unless its checksum fits."""
-    *place, posting, size, step, offset, stored, data = row
+    *keys, posting, size, step, offset, stored, data = row
     wanted = [patch_key(point_id, HEIGHT_LAYER, level), point_id, HEIGHT_LAYER, level]
     encoded = Encoded.of_row(size, step, offset, data)
-    if place != wanted or encoded is None or not isinstance(posting, float):
+    if keys != wanted or encoded is None or not isinstance(posting, float):
         raise DataError("row of optnav_patches is damaged")
     header = patch_header(point_id, level, posting, encoded)
     if stored != checksum(header, encoded.data):

@@ -169,8 +169,8 @@ class Catalog:
 
     def point(self, point_id: int) -> ControlPoint:
         """A point with its certificate. Raises DataError for an id that is not there."""
-        found = self._point(self.records[self.row_of(point_id)])
-        return replace(found, comparison=self.shifts.get(point_id)) if self.shifts else found
+        stored = self._point(self.records[self.row_of(point_id)])
+        return replace(stored, comparison=self.shifts.get(point_id)) if self.shifts else stored
 
     def _point(self, record: Record) -> ControlPoint:
         point = point_from_record(record, self.meta.point_sources)
@@ -261,8 +261,8 @@ def packed_records(db: sqlite3.Connection, meta: CatalogMeta) -> RecordArray:
     try:
         rows = db.execute(f"SELECT id, count, checksum, data FROM {RECORDS} ORDER BY id")
         for number, (key, count, stored, data) in enumerate(rows):
-            whole = key == number and isinstance(data, bytes) and stored == checksum(data)
-            if not whole or len(data) != count * layout.itemsize:
+            intact = key == number and isinstance(data, bytes) and stored == checksum(data)
+            if not intact or len(data) != count * layout.itemsize:
                 raise DataError(f"row {number} does not fit its checksum")
             parts.append(data)
             read += count

@@ -54,9 +54,9 @@ CERTIFICATE_LIMITS = {
 
 def record_type(levels: int) -> np.dtype[np.void]:
     """Layout of a record, little-endian and unpadded; `levels` uniqueness margins."""
-    own = dict.fromkeys(("flags", "usable", "levels", "source"), "<i4")
+    integers = dict.fromkeys(("flags", "usable", "levels", "source"), "<i4")
     lists = [("uniqueness", "<f4", (levels,)), ("shadow_limit_deg", "<f4", (SHADOW_AZIMUTHS,))]
-    return np.dtype([*SAME.items(), *own.items(), *lists])
+    return np.dtype([*SAME.items(), *integers.items(), *lists])
 
 
 def _rounded(value: float, decimals: int) -> float:
@@ -155,11 +155,11 @@ def impossible(
         "its trials, flags or use are none": (counts < 0).any(axis=0) | (counts[2] > 1),
         "its certificate is impossible": _wrong_certificates(records),
     }
-    found: dict[int, str] = {}
+    reasons: dict[int, str] = {}
     for reason, wrong in faults.items():
         for row in np.flatnonzero(wrong).tolist():
-            found.setdefault(row, reason)
-    return found
+            reasons.setdefault(row, reason)
+    return reasons
 
 
 def _in_cells(records: RecordArray, grid: CellGrid) -> BoolArray:
@@ -169,10 +169,12 @@ def _in_cells(records: RecordArray, grid: CellGrid) -> BoolArray:
     west, south, east, north = grid.bounds_of(np.where(known, ids, 0))
     lat, lon = records["lat_deg"], records["lon_deg"]
     inside = np.mod(lon - west, 360.0) <= east - west
-    away = np.where(inside, 0.0, np.minimum(np.mod(west - lon, 360.0), np.mod(lon - east, 360.0)))
-    away = np.maximum(away, np.maximum(south - lat, lat - north))
-    found: BoolArray = known & (away <= ROUNDING_DEG)
-    return found
+    outside_deg = np.where(
+        inside, 0.0, np.minimum(np.mod(west - lon, 360.0), np.mod(lon - east, 360.0))
+    )
+    outside_deg = np.maximum(outside_deg, np.maximum(south - lat, lat - north))
+    inside_cell: BoolArray = known & (outside_deg <= ROUNDING_DEG)
+    return inside_cell
 
 
 def _wrong_certificates(records: RecordArray) -> BoolArray:

@@ -66,17 +66,17 @@ def prepare_relief(relief: GlobalRelief) -> PreparedRelief:
     that they stay bounds, but for half of a mean's step.
     """
     number = relief.heights.shape[0]
-    means = [_encoded(relief.heights, place, MEAN_STEP_M) for place in _places(number, MEANS)]
+    means = [_encoded(relief.heights, tile, MEAN_STEP_M) for tile in _places(number, MEANS)]
     stored = _assembled([encoded for encoded, _ in means], number)
     above = np.maximum(relief.max_heights - stored - np.float32(MEAN_STEP_M / 2.0), 0.0)
     above = np.ceil(above / np.float32(TOP_STEP_M)) * np.float32(TOP_STEP_M)
-    max_heights = [_encoded(above, place, TOP_STEP_M) for place in _places(number, TOPS)]
+    max_heights = [_encoded(above, tile, TOP_STEP_M) for tile in _places(number, TOPS)]
     rows, contents = [], []
     places = [*_places(number, MEANS), *_places(number, TOPS)]
-    for place, (encoded, counts) in zip(places, means + max_heights, strict=True):
-        header = _header(place, encoded)
+    for tile, (encoded, counts) in zip(places, means + max_heights, strict=True):
+        header = _header(tile, encoded)
         contents.append((header, counts))
-        rows.append((place.key, *place, *encoded.columns(header)))
+        rows.append((tile.key, *tile, *encoded.columns(header)))
     digest = patches_digest(contents).hex()
     return PreparedRelief(ReliefMeta(number, relief.source, digest), tuple(rows))
 
@@ -90,7 +90,7 @@ def read_relief(db: sqlite3.Connection, meta: CatalogMeta) -> GlobalRelief | Non
         return None
     number = meta.relief.rows
     means, max_heights = (
-        _assembled([read_tile(db, place)[0] for place in _places(number, layer)], number)
+        _assembled([read_tile(db, position)[0] for position in _places(number, layer)], number)
         for layer in (MEANS, TOPS)
     )
     max_heights += means
@@ -132,12 +132,12 @@ def relief_digest(
     """Digest of the tiles as they are; damage is reported, tile by tile."""
 
     def contents() -> Iterator[tuple[bytes, Int16Array]]:
-        for place in tile_places(meta):
+        for position in tile_places(meta):
             try:
-                tile, header = read_tile(db, place)
+                tile, header = read_tile(db, position)
                 yield header, decode_counts(tile.data, tile.size)
             except DataError as error:
-                report(str(place), str(error).removeprefix(f"{place}: "))
+                report(str(position), str(error).removeprefix(f"{position}: "))
 
     return patches_digest(contents()).hex()
 
@@ -167,9 +167,9 @@ def _assembled(tiles: Sequence[Encoded], number: int) -> Float32Array:
     """The grid (number, 2 number) of all tiles of a layer. Raises DataError."""
     size = min(TILE, number)
     grid = np.empty((number, 2 * number), np.float32)
-    for place, encoded in zip(_places(number, MEANS), tiles, strict=True):
+    for position, encoded in zip(_places(number, MEANS), tiles, strict=True):
         if encoded.size != size:
             raise DataError(f"relief: a tile of {encoded.size} cells a side; wanted {size}")
-        part = _part(grid, place, size)
+        part = _part(grid, position, size)
         part[:] = decode(encoded)[: part.shape[0], : part.shape[1]]
     return grid

@@ -46,11 +46,11 @@ MAX_INTEGRITY_LINES = 20
 class Problem:
     """One thing that is wrong: where (table, point, level) and what."""
 
-    place: str
+    where: str
     what: str
 
     def __str__(self) -> str:
-        return f"{self.place}: {self.what}"
+        return f"{self.where}: {self.what}"
 
 
 @dataclass
@@ -87,81 +87,83 @@ def verify(path: str | Path, progress: Progress | None = None) -> Verification:
     missing, cut short or no catalog, or a damaged manifest, raises DataError.
     """
     path = Path(path)
-    found = Verification(path)
+    verification = Verification(path)
     with closing(connect(path)) as db:
         meta = read_meta(db, path)
-        found.stated = meta.digest
-        _integrity(db, found)
-        records = _records(db, meta, found)
+        verification.stated = meta.digest
+        _integrity(db, verification)
+        records = _records(db, meta, verification)
         if records is not None:
-            _features(db, meta, records, found)
+            _features(db, meta, records, verification)
             stages = progress or SilentProgress()
             with stages.stage("verify", len(records), "point") as stage:
-                _contents(db, _read_again(db, meta, found), records, found, stage)
+                _contents(db, _read_again(db, meta, verification), records, verification, stage)
         if meta.comparison is not None:
             try:
                 read_shifts(db, meta.comparison.digest)
             except DataError as error:
-                found.add(COMPARISON, error)
-        _service(db, meta, found)
-    if found.sound:
+                verification.add(COMPARISON, error)
+        _service(db, meta, verification)
+    if verification.sound:
         # with a log beside it the file is not all there is: another program is at work on it
-        found.seal = SealState.OPENED if live_log(path) else seal_state(path, meta.seal)
-        if found.seal is SealState.BROKEN:
-            found.add("file", found.seal.value)
-    return found
+        verification.seal = SealState.OPENED if live_log(path) else seal_state(path, meta.seal)
+        if verification.seal is SealState.BROKEN:
+            verification.add("file", verification.seal.value)
+    return verification
 
 
-def _integrity(db: sqlite3.Connection, found: Verification) -> None:
+def _integrity(db: sqlite3.Connection, verification: Verification) -> None:
     """SQLite's own check of pages and indexes; data inside them is ours to check."""
     try:
         (identity,) = db.execute("PRAGMA application_id").fetchone()
         if identity != APPLICATION_ID:
-            found.add("file header", f"application id {identity:#x} is not a GeoPackage's")
+            verification.add("file header", f"application id {identity:#x} is not a GeoPackage's")
         for (line,) in db.execute(f"PRAGMA integrity_check({MAX_INTEGRITY_LINES})").fetchall():
             if line != "ok":
-                found.add("SQLite", line)
+                verification.add("SQLite", line)
     except (sqlite3.Error, ValueError) as error:
-        found.add("SQLite", error)
+        verification.add("SQLite", error)
 
 
-def _records(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) -> RecordArray | None:
+def _records(
+    db: sqlite3.Connection, meta: CatalogMeta, verification: Verification
+) -> RecordArray | None:
     try:
-        records = read_records(db, meta, found.add)
+        records = read_records(db, meta, verification.add)
     except DataError as error:
-        found.add(POINTS, error)
+        verification.add(POINTS, error)
         return None
     if int((records["usable"] != 0).sum()) != meta.usable:
-        found.add("optnav_meta", f"states {meta.usable} usable points; there are others")
+        verification.add("optnav_meta", f"states {meta.usable} usable points; there are others")
     return records
 
 
 def _features(
-    db: sqlite3.Connection, meta: CatalogMeta, records: RecordArray, found: Verification
+    db: sqlite3.Connection, meta: CatalogMeta, records: RecordArray, verification: Verification
 ) -> None:
     """The feature layer and its R-tree must say the same as the packed points."""
     srs_id = srs_of(meta.body, meta.radius_m)[0]
     select = f"{select_points(meta)} WHERE id = ?"
     for record in records:
         number = int(record["id"])
-        place = f"{POINTS} {number}"
+        subject = f"{POINTS} {number}"
         try:
             row = db.execute(select, (number,)).fetchone()
             if row is None:
-                found.add(place, "is missing")
+                verification.add(subject, "is missing")
                 continue
             feature = record_from_row(row, meta.levels, meta.point_sources, srs_id)
             if feature.tobytes() != record.tobytes():
-                found.add(place, "differs from the packed points")
+                verification.add(subject, "differs from the packed points")
             tree = db.execute(
                 f"SELECT minx, maxx, miny, maxy FROM {RTREE} WHERE id = ?", (number,)
             ).fetchone()
             if tree is None or not _encloses(tree, record):
-                found.add(f"{RTREE} {number}", "does not enclose its point")
+                verification.add(f"{RTREE} {number}", "does not enclose its point")
         except (sqlite3.Error, ValueError, DataError) as error:
-            found.add(place, error)
+            verification.add(subject, error)
     for table in (POINTS, RTREE):
-        _count(db, table, len(records), found)
+        _count(db, table, len(records), verification)
 
 
 def _encloses(tree: Sequence[float], record: RecordArray) -> bool:
@@ -175,7 +177,7 @@ def _contents(
     db: sqlite3.Connection,
     meta: CatalogMeta,
     records: RecordArray,
-    found: Verification,
+    verification: Verification,
     stage: Stage,
 ) -> None:
     """Decode every patch and compute the content digest."""
@@ -184,61 +186,65 @@ def _contents(
         number = int(record["id"])
         contents = []
         for level in range(record["levels"]):
-            place = f"control point {number}, level {level}"
+            subject = f"control point {number}, level {level}"
             try:
                 key = patch_key(number, HEIGHT_LAYER, level)
                 row = db.execute(SELECT_PATCHES, (key, key)).fetchone()
                 if row is None:
-                    found.add(place, "is missing")
+                    verification.add(subject, "is missing")
                     continue
                 check_patch(row, level, meta)
                 patch = stored_patch_from_row(row, number, level)
                 counts = decode_counts(patch.encoded.data, patch.encoded.size)
                 contents.append((patch.header, counts))
             except (sqlite3.Error, ValueError, DataError) as error:
-                found.add(place, error)
+                verification.add(subject, error)
         digests += point_digest(record.tobytes(), patches_digest(contents))
-        found.points += 1
-        found.patches += len(contents)
+        verification.points += 1
+        verification.patches += len(contents)
         stage.advance()
-    found.computed = catalog_digest(meta, digests)
-    if found.computed != found.stated:
-        found.add("digest", f"the content gives {found.computed}; {found.stated} is stated")
-    _count(db, PATCHES, int(records["levels"].sum()), found)
+    verification.computed = catalog_digest(meta, digests)
+    if verification.computed != verification.stated:
+        verification.add(
+            "digest", f"the content gives {verification.computed}; {verification.stated} is stated"
+        )
+    _count(db, PATCHES, int(records["levels"].sum()), verification)
 
 
-def _read_again(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) -> CatalogMeta:
+def _read_again(
+    db: sqlite3.Connection, meta: CatalogMeta, verification: Verification
+) -> CatalogMeta:
     """The manifest with the digest of the relief as it is found in its tiles."""
     if meta.relief is None:
         return meta
-    before = len(found.problems)
-    digest = relief_digest(db, meta.relief, found.add)
-    if digest != meta.relief.digest and len(found.problems) == before:
-        found.add(RELIEF, f"the tiles give {digest}; {meta.relief.digest} is stated")
-    _count(db, RELIEF, len(tile_places(meta.relief)), found)
+    before = len(verification.problems)
+    digest = relief_digest(db, meta.relief, verification.add)
+    if digest != meta.relief.digest and len(verification.problems) == before:
+        verification.add(RELIEF, f"the tiles give {digest}; {meta.relief.digest} is stated")
+    _count(db, RELIEF, len(tile_places(meta.relief)), verification)
     return replace(meta, relief=replace(meta.relief, digest=digest))
 
 
-def _count(db: sqlite3.Connection, table: str, wanted: int, found: Verification) -> None:
+def _count(db: sqlite3.Connection, table: str, wanted: int, verification: Verification) -> None:
     try:
         (count,) = db.execute(f"SELECT count(*) FROM {table}").fetchone()
     except DATABASE_ERRORS as error:
-        found.add(table, error)
+        verification.add(table, error)
         return
     if count != wanted:
-        found.add(table, f"holds {count} rows; wanted {wanted}")
+        verification.add(table, f"holds {count} rows; wanted {wanted}")
 
 
-def _service(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) -> None:
+def _service(db: sqlite3.Connection, meta: CatalogMeta, verification: Verification) -> None:
     """Our rows in the GeoPackage's service tables; rows of other programs are their own."""
     for table, wanted in service_rows(meta).items():
         try:
             rows = set(db.execute(f"SELECT * FROM {table}").fetchall())
         except DATABASE_ERRORS as error:
-            found.add(table, error)
+            verification.add(table, error)
             continue
         # other programs may have added columns behind ours, as for another form of the WKT
         known = {row[: len(wanted[0])] for row in rows}
         for row in wanted:
             if row not in known:
-                found.add(table, f"the row of {row[0]!r} is missing or was changed")
+                verification.add(table, f"the row of {row[0]!r} is missing or was changed")

@@ -103,10 +103,10 @@ def find_contradictions(stated: StatedGeometry, body: Body, values: Float32Array
             f"whose radius is {body.radius_m / 1e3:.6g} km: mend the unit of the position or name "
             "the body (--body)"
         ]
-    away = _looks_away(stated, body)
+    misses = _looks_away(stated, body)
     core, wide = _find_disc(values, CORE_LEVEL), _find_disc(values, WIDE_LEVEL)
-    if away or core is None or wide is None:
-        return away
+    if misses or core is None or wide is None:
+        return misses
     size = _wrong_size(stated, body, (core, wide), distance_m)
     return size or _wrong_sun(stated, body, core, distance_m)
 

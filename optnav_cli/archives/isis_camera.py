@@ -249,7 +249,7 @@ def crop_camera(path: Path, label: Label, camera: Camera, upside_down: bool) -> 
     if not isinstance(alpha, dict):
         return camera
     try:
-        whole = np.array([alpha["AlphaSamples"], alpha["AlphaLines"]], float)
+        full = np.array([alpha["AlphaSamples"], alpha["AlphaLines"]], float)
         # ISIS counts pixels from 1 at their middle: 0.5 is the picture's edge
         start = np.array([alpha["AlphaStartingSample"], alpha["AlphaStartingLine"]], float) - 0.5
         end = np.array([alpha["AlphaEndingSample"], alpha["AlphaEndingLine"]], float) - 0.5
@@ -257,9 +257,9 @@ def crop_camera(path: Path, label: Label, camera: Camera, upside_down: bool) -> 
     except (KeyError, TypeError, ValueError):
         raise DataError(f"{path}: its AlphaCube group is damaged") from None
     if upside_down:
-        start[1], end[1] = whole[1] - end[1], whole[1] - start[1]
+        start[1], end[1] = full[1] - end[1], full[1] - start[1]
     step = (end - start) / size  # pixels of the whole a pixel of the cube
-    scale = whole / (camera.width_px, camera.height_px) / step
+    scale = full / (camera.width_px, camera.height_px) / step
     if not (np.isfinite(scale).all() and (scale > 0.0).all() and (size > 0).all()):
         raise DataError(f"{path}: its AlphaCube group is damaged")
     point = (np.array(camera.principal_point_px) + 0.5) * scale - start / step - 0.5

@@ -133,8 +133,8 @@ def read_cube_label(path: str | Path) -> Label:
     try:
         with open_raster(path, ("ISIS3",)) as cube, reading_raster(path):
             # rasterio takes the text before the first colon for the name of a tag
-            ((start, rest),) = cube.tags(ns="json:ISIS3").items()
-        label: Label = json.loads(f"{start}:{rest}")
+            ((start, remainder),) = cube.tags(ns="json:ISIS3").items()
+        label: Label = json.loads(f"{start}:{remainder}")
     except (DataError, ValueError, RecursionError):
         raise DataError(f"{path}: not an ISIS cube, or its label is damaged") from None
     return label

@@ -95,8 +95,8 @@ def _invert_taylor(points: FloatArray, terms: Sequence[FloatArray] | FloatArray)
     plain = points.copy()
     for _ in range(20):
         x, y = plain.T
-        one = np.ones_like(x)
-        powers = np.array([one, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
+        unity = np.ones_like(x)
+        powers = np.array([unity, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
         plain = plain + points - (np.asarray(terms) @ powers).T
     return plain
 
@@ -118,18 +118,20 @@ def _fit_lens(
     focal = np.array([camera.focal_length_px, camera.focal_length_px * camera.aspect])
     distorted = (pixels - camera.principal_point_px) / focal
     rays = undistort(distorted * focal_mm @ turn.T) @ turn / focal_mm
-    away, most = (np.linalg.norm(part, axis=1).max() for part in (rays - distorted, distorted))
-    if not away <= MAX_DISTORTION * most:
+    largest_shift, most = (
+        np.linalg.norm(part, axis=1).max() for part in (rays - distorted, distorted)
+    )
+    if not largest_shift <= MAX_DISTORTION * most:
         raise DataError(
             f"camera {camera.name}: the cube's lens moves points by more than "
             f"{MAX_DISTORTION:.0%} of the picture's half width; name the camera with --camera"
         )
     u, v = rays.T
     square = u * u + v * v
-    zero, one = np.zeros_like(u), np.ones_like(u)
-    radial = np.array([one, square, square**2, square**3])
-    along_x = np.vstack([one, zero, u * radial, 2.0 * u * v, square + 2.0 * u * u])
-    along_y = np.vstack([zero, one, v * radial, square + 2.0 * v * v, 2.0 * u * v])
+    zero, unity = np.zeros_like(u), np.ones_like(u)
+    radial = np.array([unity, square, square**2, square**3])
+    along_x = np.vstack([unity, zero, u * radial, 2.0 * u * v, square + 2.0 * u * u])
+    along_y = np.vstack([zero, unity, v * radial, square + 2.0 * v * v, 2.0 * u * v])
     design = np.concatenate([along_x.T, along_y.T])
     wanted = distorted.T.ravel()
     for columns in LENSES:

@@ -75,14 +75,14 @@ def import_folder(
         )
     started = datetime.now(UTC)
     check_apart(output, [*files, *options.pictures, *options.kernels])
-    with replacing_folder(output, KIND) as place:
-        importer = _Importer(options, place)
+    with replacing_folder(output, KIND) as new:
+        importer = _Importer(options, new)
         for number, path in enumerate(files):
-            own = options.pictures[number] if options.pictures else None
-            importer.add(path, own)
+            named = options.pictures[number] if options.pictures else None
+            importer.add(path, named)
         imported = importer.finish(output)
         write_manifest(
-            place,
+            new,
             KIND,
             command="import",
             options={"table": options.table, "camera": options.camera, "body": options.body},
@@ -94,10 +94,10 @@ def import_folder(
 
 
 def _hashes(files: Sequence[Path]) -> dict[str, str | None]:
-    found: dict[str, str | None] = {}
+    hashes: dict[str, str | None] = {}
     for path in files:
-        found |= hash_files(path.parent, [path.name])
-    return found
+        hashes |= hash_files(path.parent, [path.name])
+    return hashes
 
 
 class _Importer:

@@ -68,10 +68,10 @@ class ArchiveLabel:
                 f"{self.path}: its label states {key} several times ({shown[:MAX_SHOWN]}); name "
                 "the block that is meant in the table, as BLOCK.KEYWORD or A/B/keyword"
             )
-        found = next(iter(values), ())
-        if not found or any(value.upper() in _NOT_STATED for value in found):
+        listed = next(iter(values), ())
+        if not listed or any(value.upper() in _NOT_STATED for value in listed):
             raise DataError(f"{self.path}: its label does not state {key}")
-        return found
+        return listed
 
     def is_stated(self, key: str) -> bool:
         """Whether a keyword has a value and none that stands for a missing one."""
@@ -91,14 +91,14 @@ class ArchiveLabel:
         """
         if "/" not in key:
             return [name for name in ("COORDINATE_SYSTEM_NAME",) if name in self.values]
-        found = []
+        keys = []
         for name in self._names(key)[:1]:
             base = name
             while base := base.rpartition("/")[0]:
                 ends = ("Reference_Frame_Identification/name",
                         "Coordinate_System_Identification/coordinate_system_name")  # fmt: skip
-                found += [f"{base}/{end}" for end in ends if f"{base}/{end}" in self.values]
-        return found
+                keys += [f"{base}/{end}" for end in ends if f"{base}/{end}" in self.values]
+        return keys
 
     def _names(self, key: str) -> list[str]:
         if "/" not in key:
@@ -114,7 +114,7 @@ class ArchiveLabel:
         Raises DataError for a keyword that is not stated or no number, is beyond all that labels
         hold, or has a unit of another quantity.
         """
-        found: list[float] = []
+        converted: list[float] = []
         for key in keys:
             name = key.removeprefix("-")
             sign = -1.0 if key != name else 1.0
@@ -128,8 +128,8 @@ class ArchiveLabel:
                     raise DataError(
                         f"{self.path}: {name} is {text[:40]}, no number below {MAX_NUMBER:g}"
                     )
-                found.append(sign * value * self._size(name, text, unit, quantity, default))
-        return np.array(found)
+                converted.append(sign * value * self._size(name, text, unit, quantity, default))
+        return np.array(converted)
 
     def _size(self, key: str, text: str, unit: str, quantity: Quantity, default: float) -> float:
         stated = find_unit(unit)

@@ -48,7 +48,7 @@ def stated_specials(path: Path, text: Callable[[str], str], dtype: str) -> Speci
     dtype  of the pixels as stored
     Raises DataError for one that is no number.
     """
-    found: dict[bool, list[float]] = {False: [], True: []}
+    specials: dict[bool, list[float]] = {False: [], True: []}
     for names, saturated in ((MISSING_KEYWORDS, False), (SATURATED_KEYWORDS, True)):
         for name in names:
             stated = text(name) or text(f"Special_Constants/{name.lower()}")
@@ -60,10 +60,10 @@ def stated_specials(path: Path, text: Callable[[str], str], dtype: str) -> Speci
                     f"{path}: {name} = {stated[:40]}; wanted a number of the type {dtype}: correct "
                     "the label"
                 )
-            found[saturated].append(value)
-    if not (found[False] or found[True]):
+            specials[saturated].append(value)
+    if not (specials[False] or specials[True]):
         return None
-    return SpecialValues(tuple(found[False]), tuple(found[True]))
+    return SpecialValues(tuple(specials[False]), tuple(specials[True]))
 
 
 def is_bottom_first(text: Callable[[str], str]) -> bool:

@@ -112,9 +112,9 @@ class Camera:
         """Sigma of the blur as calibrated, with the pixel's own width, and its 1-sigma error."""
         if self.psf_sigma_px is None or self.psf_error_px is None:
             return None
-        whole = math.hypot(self.psf_sigma_px, PIXEL_SIGMA_PX)
+        blur_px = math.hypot(self.psf_sigma_px, PIXEL_SIGMA_PX)
         # an optics much sharper than the pixel hardly widens it, however badly it is known
-        return whole, self.psf_error_px * max(self.psf_sigma_px, self.psf_error_px) / whole
+        return blur_px, self.psf_error_px * max(self.psf_sigma_px, self.psf_error_px) / blur_px
 
     def with_focal_factor(self, factor: float) -> "Camera":
         """The same with its focal lengths multiplied."""
@@ -182,8 +182,8 @@ class Camera:
         points_body (..., 3) and position (3,)  m, body frame;  camera_from_body (3, 3)
         """
         if self._lens[0] == lens.OPENCV:
-            away = np.asarray(points_body, dtype=np.float64) - np.asarray(position)
-            return self.project(away @ np.asarray(camera_from_body).T)
+            offsets = np.asarray(points_body, dtype=np.float64) - np.asarray(position)
+            return self.project(offsets @ np.asarray(camera_from_body).T)
         points, shape = _rows(points_body, 3)
         pixels = np.empty((len(points), 2))
         lens.project_body_points(
@@ -219,9 +219,9 @@ class Camera:
         A fisheye's lie on its image circle where that is nearer: no light falls beyond it.
         """
         side = np.linspace(0.0, 1.0, along, endpoint=False)
-        zero, one = np.zeros_like(side), np.ones_like(side)
-        x = np.concatenate([side, one, 1.0 - side, zero]) * self.width_px - 0.5
-        y = np.concatenate([zero, side, one, 1.0 - side]) * self.height_px - 0.5
+        zero, ones = np.zeros_like(side), np.ones_like(side)
+        x = np.concatenate([side, ones, 1.0 - side, zero]) * self.width_px - 0.5
+        y = np.concatenate([zero, side, ones, 1.0 - side]) * self.height_px - 0.5
         middle = np.array(self.principal_point_px)
         out = np.column_stack([x, y]) - middle
         most = 0.999 * (self.image_circle_radius_px or np.inf)

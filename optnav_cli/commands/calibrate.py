@@ -32,12 +32,12 @@ def _size(
 ) -> tuple[int, int] | None:
     if value is None:
         return None
-    found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", value.strip().lower())
-    if found is None or min(int(found[1]), int(found[2])) < 3:
+    match = re.fullmatch(r"(\d{1,3})x(\d{1,3})", value.strip().lower())
+    if match is None or min(int(match[1]), int(match[2])) < 3:
         raise click.BadParameter(
             f"{value!r} is not COLUMNSxROWS of at least 3x3 dots, such as 9x7", context, option
         )
-    return int(found[1]), int(found[2])
+    return int(match[1]), int(match[2])
 
 
 @click.command("calibrate", cls=OptnavCommand)

@@ -96,19 +96,19 @@ def catalog_nearest(
     from optnav_cli.output.wording import json_text, length
 
     with Catalog.open(catalog) as opened:
-        found = nearest_points(opened, lat, lon, count, usable)
-        covered, cell_deg = covers(opened, found[0]), opened.meta.cell_deg
+        near_points = nearest_points(opened, lat, lon, count, usable)
+        covered, cell_deg = covers(opened, near_points[0]), opened.meta.cell_deg
     documents = [
         point_document(near.point)
         | {"distance_m": near.distance_m, "azimuth_deg": near.azimuth_deg}
-        for near in found
+        for near in near_points
     ]
     if as_json:
-        place = {"catalog": catalog, "lat_deg": lat, "lon_deg": lon, "covered": covered}
-        click.echo(json_text(place | {"points": documents}))
+        query = {"catalog": catalog, "lat_deg": lat, "lon_deg": lon, "covered": covered}
+        click.echo(json_text(query | {"points": documents}))
         return
     if count == 1:
-        (near,) = found
+        (near,) = near_points
         distance = {"distance_km": f"{near.distance_m / 1e3:.3f}"}
         words = describe_point(documents[0]) | distance | {"azimuth_deg": f"{near.azimuth_deg:.1f}"}
         lines = [f"{key}: {value}" for key, value in words.items()]
@@ -118,7 +118,7 @@ def catalog_nearest(
         which = "usable point" if usable else "point"
         lines.append(
             f"note: the catalog does not cover this place: its nearest {which} is "
-            f"{length(found[0].distance_m)} away, its cells are {cell_deg:g} deg wide"
+            f"{length(near_points[0].distance_m)} away, its cells are {cell_deg:g} deg wide"
         )
     click.echo("\n".join(lines))
 
@@ -131,10 +131,10 @@ def _near_lines(documents: Sequence[Mapping[str, Any]]) -> list[str]:
     distance = f"distance, {unit.name}"
     rows = [("id", "lat_deg", "lon_deg", distance, "azimuth_deg", "usable", "reasons")]
     for point in documents:
-        place = f"{point['lat_deg']:.5f}", f"{point['lon_deg']:.5f}", unit.text(point["distance_m"])
+        cells = f"{point['lat_deg']:.5f}", f"{point['lon_deg']:.5f}", unit.text(point["distance_m"])
         use = "yes" if point["usable"] else "no"
         reasons = ", ".join(point["reasons"])
-        rows.append((str(point["id"]), *place, f"{point['azimuth_deg']:.1f}", use, reasons))
+        rows.append((str(point["id"]), *cells, f"{point['azimuth_deg']:.1f}", use, reasons))
     return table_lines(rows, left=(5, 6))
 
 
@@ -168,19 +168,19 @@ def catalog_show(catalog: Path, point_id: int | None, output: Path | None, as_js
     from catalog.store.reader import Catalog
 
     announce_compilation()
-    place = output or Path(f"{catalog.stem}{'' if point_id is None else f'-{point_id}'}.png")
-    check_png_place(place)
+    path = output or Path(f"{catalog.stem}{'' if point_id is None else f'-{point_id}'}.png")
+    check_png_place(path)
     document: dict[str, Any] = {}
     with Catalog.open(catalog) as opened:
         if point_id is None:
             from optnav_cli.report.body_sides import sides_picture
 
-            write_png(sides_picture(opened), place)
+            write_png(sides_picture(opened), path)
         else:
             pyramid = opened.pyramid(point_id)
             document = point_document(pyramid.point)
-            write_png(draw_pyramid(pyramid, opened.meta.map_radius_m), place)
-    picture = {"picture": str(place)}
+            write_png(draw_pyramid(pyramid, opened.meta.map_radius_m), path)
+    picture = {"picture": str(path)}
     lines = describe_point(document) if document else {}
     answer({"catalog": str(catalog)} | document | picture, lines | picture, as_json)
 
@@ -225,17 +225,19 @@ def compare_and_tell(
 
     if table is not None:
         check_file(table, differences.is_table)
-    found = compare(first, second, progress)
+    comparison = compare(first, second, progress)
     more = (
-        [] if table is None else [f"table: {table}: {differences.write_table(found, table)} points"]
+        []
+        if table is None
+        else [f"table: {table}: {differences.write_table(comparison, table)} points"]
     )
-    more += ["content: the same"] if found.same else []
+    more += ["content: the same"] if comparison.same else []
     if as_json:
-        click.echo(json_text(differences.comparison_document(found)))
+        click.echo(json_text(differences.comparison_document(comparison)))
     else:
-        click.echo("\n".join([*differences.lines(found), *more]))
-    if not found.same:
-        raise DifferenceError(f"{second}: differs from {first}: {differences.summary(found)}")
+        click.echo("\n".join([*differences.lines(comparison), *more]))
+    if not comparison.same:
+        raise DifferenceError(f"{second}: differs from {first}: {differences.summary(comparison)}")
 
 
 def require_reference(reference: Path, output: Path) -> None:
@@ -275,30 +277,31 @@ def catalog_verify(progress: ConsoleProgress, catalog: Path, as_json: bool) -> N
 
     announce_compilation()
     try:
-        found = verify(catalog, progress)
+        verification = verify(catalog, progress)
     except DataError as error:
         if as_json:  # a document whatever the file is
-            found = Verification(catalog)
-            found.add("file", error)
-            click.echo(json_text(verification_document(found)))
+            verification = Verification(catalog)
+            verification.add("file", error)
+            click.echo(json_text(verification_document(verification)))
         raise
     if as_json:
-        click.echo(json_text(verification_document(found)))
+        click.echo(json_text(verification_document(verification)))
     else:
-        click.echo("\n".join(_verified_lines(found)))
-    if not found.sound:
+        click.echo("\n".join(_verified_lines(verification)))
+    if not verification.sound:
         raise DataError(
-            f"{catalog}: is damaged ({len(found.problems)} findings); restore it or build it again"
+            f"{catalog}: is damaged ({len(verification.problems)} findings); restore it or build "
+            "it again"
         )
 
 
-def _verified_lines(found: "Verification") -> list[str]:
-    lines = [f"damaged: {problem}" for problem in found.problems[:SHOWN]]
-    if len(found.problems) > SHOWN:
-        lines.append(f"damaged: and {len(found.problems) - SHOWN} more")
-    lines += [f"points: {found.points}", f"patches: {found.patches}"]
-    lines.append(f"digest: {found.computed or 'unknown'}")
-    return lines if found.seal is None else [*lines, f"file: {found.seal.value}"]
+def _verified_lines(verification: "Verification") -> list[str]:
+    lines = [f"damaged: {problem}" for problem in verification.problems[:SHOWN]]
+    if len(verification.problems) > SHOWN:
+        lines.append(f"damaged: and {len(verification.problems) - SHOWN} more")
+    lines += [f"points: {verification.points}", f"patches: {verification.patches}"]
+    lines.append(f"digest: {verification.computed or 'unknown'}")
+    return lines if verification.seal is None else [*lines, f"file: {verification.seal.value}"]
 
 
 @command.command(

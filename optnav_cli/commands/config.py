@@ -105,12 +105,12 @@ def list_shipped(kind: str | None, as_json: bool) -> None:
     """
     from optnav_cli.output.wording import json_text, table_lines
 
-    found = {name: [*_shipped(name)] for name in ([kind] if kind else KINDS)}
+    shipped = {name: [*_shipped(name)] for name in ([kind] if kind else KINDS)}
     if as_json:
-        click.echo(json_text(found))
+        click.echo(json_text(shipped))
         return
     lines = []
-    for name, entries in found.items():
+    for name, entries in shipped.items():
         lines += [f"{name}: {KINDS[name].use}"]
         rows = [(f"  {entry['name']}", entry["description"]) for entry in entries]
         lines += [*table_lines(rows, left=(0, 1)), ""]
@@ -181,5 +181,5 @@ def first_sentence(path: Path) -> str:
 def _data_description(path: Path) -> str:
     """What a data file is: its line in the README beside it."""
     text = path.with_name("README.md").read_text(encoding="utf-8")
-    found = re.search(rf"^\| `{re.escape(path.name)}` \| (.*?) \|", text, re.MULTILINE)
-    return found[1] if found else ""
+    match = re.search(rf"^\| `{re.escape(path.name)}` \| (.*?) \|", text, re.MULTILINE)
+    return match[1] if match else ""

@@ -111,12 +111,12 @@ def _compiling_ahead(scenario: Path, workers: int | None) -> Iterator[Callable[[
         return
     others = {child.pid for child in multiprocessing.active_children()}
     with tempfile.TemporaryDirectory(prefix="optnav-", ignore_cleanup_errors=True) as folder:
-        place, pool = Path(folder), LocalPool(1)
+        work, pool = Path(folder), LocalPool(1)
         executor = pool.executor()
-        executor.submit(_simulate_ahead, scenario, place)
+        executor.submit(_simulate_ahead, scenario, work)
         beside = [child for child in multiprocessing.active_children() if child.pid not in others]
         try:
-            yield lambda catalog: _submit(executor, _navigate_ahead, place, catalog)
+            yield lambda catalog: _submit(executor, _navigate_ahead, work, catalog)
         finally:
             pool.abandon()
             for child in beside:  # which writes no more then

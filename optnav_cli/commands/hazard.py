@@ -57,11 +57,11 @@ def slopes(
     from optnav_cli.output.wording import json_text
 
     announce_compilation()
-    found = measure_slopes(dem, base_m, body, output, nodata)
+    measured = measure_slopes(dem, base_m, body, output, nodata)
     if as_json:
-        click.echo(json_text(found.figures()))
+        click.echo(json_text(measured.figures()))
     else:
-        click.echo(found.to_text())
+        click.echo(measured.to_text())
         if output is not None:
             click.echo(output)
 

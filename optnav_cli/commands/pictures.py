@@ -241,10 +241,10 @@ def _evaluate_measured(folder: Path, truth: Path, kind: str, as_json: bool) -> N
     from optnav_cli.evaluation.measured import evaluate_cylinder, evaluate_stars, write_measured
     from optnav_cli.output.wording import json_text
 
-    found = (evaluate_stars if kind == "stars" else evaluate_cylinder)(folder, truth)
-    document = {"run": folder, "truth": truth} | found.summary()
-    click.echo(json_text(document) if as_json else found.to_text())
-    write_measured(found, folder)
+    evaluation = (evaluate_stars if kind == "stars" else evaluate_cylinder)(folder, truth)
+    document = {"run": folder, "truth": truth} | evaluation.summary()
+    click.echo(json_text(document) if as_json else evaluation.to_text())
+    write_measured(evaluation, folder)
 
 
 def _evaluate_orbit(folder: Path, truth: Path, as_json: bool, given: dict[str, Any]) -> None:
@@ -252,15 +252,15 @@ def _evaluate_orbit(folder: Path, truth: Path, as_json: bool, given: dict[str, A
     from optnav_cli.orbit.fit.evaluate import evaluate_orbit, write_orbit_evaluation
     from optnav_cli.output.wording import json_text
 
-    found, wanted = evaluate_orbit(folder, truth), Limits(**given)
+    evaluation, wanted = evaluate_orbit(folder, truth), Limits(**given)
     if as_json:
-        checks = [check._asdict() for check in limit_checks(found.figures, wanted)]
-        document = {"run": folder, "truth": truth} | found.summary() | {"limits": checks}
+        checks = [check._asdict() for check in limit_checks(evaluation.figures, wanted)]
+        document = {"run": folder, "truth": truth} | evaluation.summary() | {"limits": checks}
         click.echo(json_text(document))
     else:
-        click.echo(found.to_text())
-    write_orbit_evaluation(found, folder)
-    check_limits(found.figures, wanted)
+        click.echo(evaluation.to_text())
+    write_orbit_evaluation(evaluation, folder)
+    check_limits(evaluation.figures, wanted)
 
 
 def _evaluate_pads(folder: Path, truth: Path, as_json: bool, limit: float | None) -> None:
@@ -387,10 +387,10 @@ def report(source: Path, output: Path | None, layout: Path | None) -> None:
 
     if output is None and layout is None:
         raise click.UsageError("nothing to make; name a page (-o) or a --foxglove-layout")
-    for place, write in ((output, write_report), (layout, write_layout)):
-        if place is not None:
-            write(source, place)
-            click.echo(place)
+    for path, write in ((output, write_report), (layout, write_layout)):
+        if path is not None:
+            write(source, path)
+            click.echo(path)
 
 
 class SolveOption(click.ParamType):  # type: ignore[type-arg] # generic since 8.4 only
@@ -459,6 +459,6 @@ def adjust(
     from optnav_cli.estimation.models.common import Common
 
     kinds = [kind for kind in Common if kind.value in solve]
-    found = adjust_runs(runs, output, kinds, LabelScatter(**scatter))
-    tell(found.lines())
+    result = adjust_runs(runs, output, kinds, LabelScatter(**scatter))
+    tell(result.lines())
     click.echo(output)

@@ -27,8 +27,8 @@ def read_cards(header: bytes) -> Iterator[tuple[str, str, str]]:
         long = _HIERARCH.fullmatch(card)
         if card[8:10] != "= " and long is None:
             continue
-        key, rest = (long[1], long[2]) if long is not None else (card[:8].strip(), card[10:])
-        text, comment, is_text = _value(rest)
+        key, after = (long[1], long[2]) if long is not None else (card[:8].strip(), card[10:])
+        text, comment, is_text = _value(after)
         if is_text:
             held = " ".join(key.split()), text, comment
         else:
@@ -37,13 +37,13 @@ def read_cards(header: bytes) -> Iterator[tuple[str, str, str]]:
         yield held[0], held[1].strip(), held[2]
 
 
-def _value(rest: str) -> tuple[str, str, bool]:
+def _value(text: str) -> tuple[str, str, bool]:
     """Value and comment of the part of a card after the sign, and whether it is a quoted text."""
-    rest = rest.strip()
-    quoted = _QUOTED.match(rest)
+    text = text.strip()
+    quoted = _QUOTED.match(text)
     if quoted is None:
-        text, _, comment = rest.partition("/")
+        text, _, comment = text.partition("/")
         return text.strip(), comment.strip(), False
-    comment = rest[quoted.end() :].partition("/")[2].strip()
+    comment = text[quoted.end() :].partition("/")[2].strip()
     # spaces before a text count, those after it do not (4.2.1.1)
     return quoted[1].replace("''", "'").rstrip(), comment, True

@@ -58,8 +58,8 @@ def read_folder(path: str | Path, kernels: Sequence[Path] = ()) -> Folder:
     """
     path = Path(path)
     if not path.is_dir():
-        found = "is no folder" if path.exists() else "there is no such folder"
-        raise DataError(f"{path}: {found}; wanted one with run.toml, frames.csv and cameras/")
+        fault = "is no folder" if path.exists() else "there is no such folder"
+        raise DataError(f"{path}: {fault}; wanted one with run.toml, frames.csv and cameras/")
     settings, body = read_run_settings(path / "run.toml")
     attitude = FileAttitude(settings.attitude, body, motion_of(body, kernels))
     cameras = read_cameras(path / "cameras")

@@ -37,13 +37,13 @@ SIGMAS_OF_STATE = ("sigma_r_m", "sigma_n_m", "sigma_b_m")
 
 def _states(what: str, empty: bool = True) -> list[CsvColumn]:
     """Six columns each of a state: body-fixed, and inertial."""
-    found = []
+    states = []
     for frame, names in (("body frame", BODY_STATE), ("inertial", INERTIAL)):
         for name in names:
             kind, unit = ("velocity", "m/s") if name.endswith("_s") else ("position", "m")
             meaning = f"{kind} {what}, {frame}, {name.removeprefix('inertial_').lstrip('v')[0]}"
-            found.append(number(name, meaning, unit, "z.6f" if unit == "m/s" else "z.3f", empty))
-    return found
+            states.append(number(name, meaning, unit, "z.6f" if unit == "m/s" else "z.3f", empty))
+    return states
 
 
 _filled = partial(number, empty=False)  # a number that is always there

@@ -93,7 +93,7 @@ def _png_tags(path: Path, file: BinaryIO) -> dict[str, str]:
     tags: dict[str, str] = {}
     kind = b""
     while kind != b"IEND":
-        place = file.tell()
+        start = file.tell()
         head = file.read(8)
         length, kind = struct.unpack(">I4s", head) if len(head) == 8 else (0, b"")
         checksum = zlib.crc32(kind)
@@ -106,7 +106,7 @@ def _png_tags(path: Path, file: BinaryIO) -> dict[str, str]:
         if length or len(stated) < 4:
             raise DataError(f"{path}: the picture is broken: it ends after {file.tell()} bytes")
         if checksum != struct.unpack(">I", stated)[0]:
-            raise DataError(f"{path}: the picture is broken: wrong checksum at byte {place}")
+            raise DataError(f"{path}: the picture is broken: wrong checksum at byte {start}")
         if kept is not None:
             after = file.tell()
             if kind == b"eXIf":

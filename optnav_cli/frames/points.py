@@ -49,7 +49,7 @@ def read_picked_points(
     Raises DataError, with line and column, for a file that cannot be read, a picture that
     frames.csv lacks, a name twice in a picture, a number that is missing or cannot be.
     """
-    found: dict[str, list[PickedPoint]] = {}
+    by_picture: dict[str, list[PickedPoint]] = {}
     for point, row in PICKED_POINTS.read(path, lambda row: (_point(row), row)):
         near = nearest_name(point.file, sorted(files))
         if point.file not in files:
@@ -57,7 +57,7 @@ def read_picked_points(
             raise DataError(
                 f"{row.where}: file is '{point.file}', which frames.csv does not have; {hint}"
             )
-        others = found.setdefault(point.file, [])
+        others = by_picture.setdefault(point.file, [])
         name = point.name or str(len(others) + 1)
         if any(other.name == name for other in others):
             raise DataError(
@@ -75,7 +75,7 @@ def read_picked_points(
         )
         _check_height(named, row.where, body, settings)
         others.append(named)
-    return found
+    return by_picture
 
 
 def places_of(
@@ -92,8 +92,8 @@ def places_of(
         base = np.full(len(lat), body.radius_m)
         if settings.height == "ellipsoid":
             base = np.linalg.norm(surface_at(directions, body.radii_m), axis=1)
-        found: FloatArray = directions * (base + heights_m)[:, None]
-        return found
+        on_radius: FloatArray = directions * (base + heights_m)[:, None]
+        return on_radius
     a, _, c = body.radii_m
     up = xyz_from_latlon(lat, lon, np.ones(len(lat)))
     squared = 1.0 - (c / a) ** 2
@@ -141,8 +141,8 @@ def _point(row: CsvRow) -> PickedPoint:
 
 
 def _check_height(point: PickedPoint, where: str, body: Body, settings: PointsSettings) -> None:
-    place = places_of(point.latlon_deg[None], np.array([point.height_m]), body, settings)[0]
-    height = float(np.linalg.norm(place)) - body.radius_m
+    xyz_m = places_of(point.latlon_deg[None], np.array([point.height_m]), body, settings)[0]
+    height = float(np.linalg.norm(xyz_m)) - body.radius_m
     lowest, highest = body.plausible_heights_m
     if not lowest <= height <= highest:
         raise DataError(

@@ -190,19 +190,19 @@ def _sky(picture: Float32Array, darkest: float) -> tuple[float, float]:
     for r in range(0, picture.shape[0], STEP):
         count, total = 0, 0.0
         for c in range(0, picture.shape[1], STEP):
-            away = picture[r, c] - darkest
-            count += away <= 0.0
-            total += away * away if away <= 0.0 else 0.0
+            above = picture[r, c] - darkest
+            count += above <= 0.0
+            total += above * above if above <= 0.0 else 0.0
         below, squares = below + count, squares + total
     reach = max(4.0 * np.sqrt(squares / max(below, 1)), 1.0)
     near, mean, squares = 0, 0.0, 0.0
     for r in range(0, picture.shape[0], STEP):
         count, first, second = 0, 0.0, 0.0
         for c in range(0, picture.shape[1], STEP):
-            away = picture[r, c] - darkest
-            count += abs(away) <= reach
-            first += away if abs(away) <= reach else 0.0
-            second += away * away if abs(away) <= reach else 0.0
+            above = picture[r, c] - darkest
+            count += abs(above) <= reach
+            first += above if abs(above) <= reach else 0.0
+            second += above * above if abs(above) <= reach else 0.0
         near, mean, squares = near + count, mean + first, squares + second
     if near == 0:
         return darkest, 0.0
@@ -236,8 +236,8 @@ def lit_blobs(picture: Float32Array, threshold: float) -> Blobs:
     """Areas of a picture (h, w) above a threshold, joined over corners."""
     mask = (picture > threshold).view(np.uint8)
     # not connectedComponentsWithStats: it takes eight times as long
-    count, found = cv2.connectedComponents(mask, connectivity=8)
-    labels = np.asarray(found, np.int32)
+    count, components = cv2.connectedComponents(mask, connectivity=8)
+    labels = np.asarray(components, np.int32)
     area, box = _sizes(labels, count)
     order = np.argsort(-area, kind="stable")
     gaps = np.isnan(picture)

@@ -69,11 +69,13 @@ def _truth(row: CsvRow, attitude: FileAttitude) -> Truth:
     if np.abs(position).max() > MAX_DISTANCE_M:
         raise DataError(f"the position lies more than {MAX_DISTANCE_M:g} m from the body")
     tdb_s = utc_to_tdb_s(row["utc"], "utc")
-    place = attitude.places.catalog(position)
+    position_m = attitude.places.catalog(position)
     if quaternion is None:
-        return Truth(row["file"], row["utc"], tdb_s, place, Rotation.identity(), has_attitude=False)
+        return Truth(
+            row["file"], row["utc"], tdb_s, position_m, Rotation.identity(), has_attitude=False
+        )
     camera_from_body = attitude.read(rotation_from_quaternion(*quaternion), tdb_s)
-    return Truth(row["file"], row["utc"], tdb_s, place, camera_from_body)
+    return Truth(row["file"], row["utc"], tdb_s, position_m, camera_from_body)
 
 
 def _cells(truth: Truth, attitude: FileAttitude) -> dict[str, object]:

@@ -142,7 +142,7 @@ def _row(stage: "StageAccount", done: str, kept: str) -> tuple[str, ...]:
 
 
 def _peak(peak: "Peak | None") -> str:
-    return "-" if peak is None else f"{'' if peak.own else '≤ '}{amount(peak.bytes)}"
+    return "-" if peak is None else f"{'' if peak.is_own else '≤ '}{amount(peak.bytes)}"
 
 
 def _share(count: int, of: int) -> str:

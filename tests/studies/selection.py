@@ -105,7 +105,7 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
             corner = _one_sun_harris(context, grounds, turn, CORNER_NODES)
             harris = _one_sun_harris(context, grounds, turn)
             for cell, ground in grounds.items():
-                free = np.argwhere(ground.inside & ground.whole)
+                free = np.argwhere(ground.inside & ground.covered)
                 row, col = free[np.random.default_rng([seed, cell, turn]).integers(len(free))]
                 drawn = (float(ground.lat[row, col]), float(ground.lon[row, col]))
                 places = (drawn, corner[cell], harris[cell], chosen[cell])
@@ -129,7 +129,7 @@ def free_grounds(context: StageContext) -> dict[int, CellGround]:
             if ground is None:
                 continue
             # whether there is a choice: cells on the terrain's edge leave the same places to all
-            if (ground.inside & ground.whole).sum() >= MIN_FREE * ground.inside.sum():
+            if (ground.inside & ground.covered).sum() >= MIN_FREE * ground.inside.sum():
                 grounds[cell] = ground
     return grounds
 
@@ -151,7 +151,7 @@ def _one_sun_harris(
         response = cv2.cornerHarris(filled, window or ground.window, 3, HARRIS_K)
         nodes = np.arange(ground.lat.shape[0]) * ground.step + ground.window // 2
         at_places = response[np.ix_(nodes, nodes)]
-        free = np.where(ground.inside & ground.whole, at_places, np.nan).astype(np.float32)
+        free = np.where(ground.inside & ground.covered, at_places, np.nan).astype(np.float32)
         radius = separation_places(context, ground)
         for peak in strongest_peaks(free - np.nanmin(free), radius, settings.candidates):
             cells.append(cell)

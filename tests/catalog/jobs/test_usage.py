@@ -49,7 +49,7 @@ from catalog.jobs.usage import metered
 first = metered(lambda: len(bytearray(b"x") * 200_000_000))[1].peak
 second = metered(lambda: len(bytearray(b"x") * 1_000_000))[1].peak
 third = metered(lambda: len(bytearray(b"x") * 300_000_000))[1].peak
-print(first.bytes, first.own, second.bytes, second.own, third.bytes, third.own)
+print(first.bytes, first.is_own, second.bytes, second.is_own, third.bytes, third.is_own)
 """
 
 

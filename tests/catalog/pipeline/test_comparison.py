@@ -113,7 +113,7 @@ def test_damaged_shifts_are_left_out_and_reported(folder, tmp_path):
     with sqlite3.connect(copy) as db:
         db.execute("UPDATE optnav_comparison SET comparison_e_m = 0.0")
     db.close()
-    assert any(problem.place == "optnav_comparison" for problem in verify(copy).problems)
+    assert any(problem.where == "optnav_comparison" for problem in verify(copy).problems)
     with Catalog.open(copy) as catalog:
         assert catalog.shifts == {}
 

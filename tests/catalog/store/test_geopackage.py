@@ -112,6 +112,6 @@ def test_an_edit_with_gdal_keeps_the_r_tree_and_is_noticed(catalog_copy: Path) -
     db.close()
     assert removed not in tree
     assert tree[moved] == pytest.approx((12.5, 12.5, 33.25, 33.25))
-    places = [problem.place for problem in verify(catalog_copy).problems]
+    places = [problem.where for problem in verify(catalog_copy).problems]
     assert f"control_points {moved}" in places
     assert f"control_points {removed}" in places

@@ -189,7 +189,7 @@ DAMAGE = {
 def test_a_damaged_tile_is_named(carried: Written, statement: str, told: tuple[str, str]) -> None:
     edit(carried.path, statement)
     found = verify(carried.path)
-    assert told in [(problem.place, problem.what) for problem in found.problems]
+    assert told in [(problem.where, problem.what) for problem in found.problems]
     assert found.computed != found.stated
     with (
         Catalog.open(carried.path) as catalog,
@@ -210,7 +210,7 @@ def test_tiles_of_another_relief_are_told(put: Callable[..., Written], carried: 
         "INSERT INTO optnav_relief SELECT * FROM other.optnav_relief",
     )
     found = verify(carried.path)
-    assert {problem.place for problem in found.problems} >= {"optnav_relief", "digest"}
+    assert {problem.where for problem in found.problems} >= {"optnav_relief", "digest"}
 
 
 def test_a_tile_too_many_is_told(carried: Written) -> None:
@@ -219,7 +219,7 @@ def test_a_tile_too_many_is_told(carried: Written) -> None:
         "INSERT INTO optnav_relief SELECT id + 99, layer, 9, 9, size, step, value_offset, "
         "checksum, data FROM optnav_relief LIMIT 1",
     )
-    assert "optnav_relief" in [problem.place for problem in verify(carried.path).problems]
+    assert "optnav_relief" in [problem.where for problem in verify(carried.path).problems]
 
 
 def test_compare_measures_reliefs(put: Callable[..., Written], carried: Written) -> None:

@@ -88,7 +88,7 @@ def test_every_flipped_bit_of_patch_data_names_point_and_level(
         path = tmp_path / "flipped.gpkg"
         path.write_bytes(data)
         found = verify(path)
-        assert f"control point {number}, level {level}" in [p.place for p in found.problems]
+        assert f"control point {number}, level {level}" in [p.where for p in found.problems]
         assert found.computed != written.digest
 
 
@@ -112,7 +112,7 @@ def test_an_edit_is_named(catalog_copy: Path, statement: str, place: str) -> Non
     db.commit()
     db.close()
     found = verify(catalog_copy)
-    assert place in [problem.place for problem in found.problems]
+    assert place in [problem.where for problem in found.problems]
 
 
 def test_a_damaged_manifest_is_named(catalog_copy: Path) -> None:
