@@ -200,7 +200,7 @@ def _all_settings(info: inspect.Type, steps: Steps) -> Iterator[Steps]:
 
 
 def _never_valid(value: Any, steps: Steps) -> Iterator[tuple[Steps, str]]:
-    """What no setting of any type can be: numbers that are none or too large, deep lists."""
+    """Yield path and fault of values that no setting can have: not finite, too large, too deep."""
     if isinstance(value, float) and not math.isfinite(value):
         yield steps, "must be a finite number"
     elif isinstance(value, float) and value and not MIN_SIZE <= abs(value) <= MAX_SIZE:

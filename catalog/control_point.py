@@ -61,7 +61,7 @@ class ComparisonShift:
 
     @property
     def distance_m(self) -> float:
-        """How far; NaN where it is not known."""
+        """Length of the shift, m; NaN where it is unknown."""
         return float(np.hypot(self.east_m, self.north_m))
 
 
@@ -127,7 +127,7 @@ class ControlPoint:
         return Stereographic(np.radians(self.lat_deg), np.radians(self.lon_deg), body_radius_m)
 
     def tangent_plane(self, radii_m: tuple[float, float, float]) -> TangentPlane:
-        """The same where it is planes: of the ground, or on an ellipsoid of these semi-axes."""
+        """Return the plane of the patches: of the ground, or tangent to an ellipsoid."""
         if self.vertical_deg is None:
             return TangentPlane.below(self.xyz_m, radii_m)
         return TangentPlane.through(self.xyz_m, *np.radians(self.vertical_deg).tolist())

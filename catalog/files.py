@@ -105,7 +105,7 @@ def write_output(path: Path, data: bytes, ours: IsOurs) -> None:
 
 
 def stored_json(data: bytes, type_: type[T]) -> T | None:
-    """What a JSON file of our own holds; None where it is damaged or of another kind."""
+    """Decode a JSON file of ours; None where it is damaged or of another kind."""
     try:
         return msgspec.json.decode(data, type=type_)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):

@@ -34,7 +34,7 @@ _claims = threading.local()  # .places: what this thread may write to
 
 
 def kind_at(path: Path) -> int:
-    """What lies at a place, links followed: stat.S_IFREG, stat.S_IFDIR, or 0 for nothing.
+    """Return the kind of file at a path, links followed: stat.S_IFREG, stat.S_IFDIR, 0 for nothing.
 
     Raises OutputError for anything else that lies there, a link to nothing, a name that is none.
     """
@@ -81,7 +81,7 @@ def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
 
 
 def unusable(path: Path, error: OSError) -> OutputError:
-    """What to raise when an output place fails."""
+    """Return the error to raise when an output path fails."""
     return OutputError(f"{path}: cannot be written ({error.strerror}); name another place")
 
 

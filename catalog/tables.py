@@ -136,7 +136,7 @@ class CsvTable:
         return count
 
     def read(self, path: Path, parse: Callable[[CsvRow], T]) -> list[T]:
-        """What `parse` makes of each row.
+        """Parse each row of a file with `parse`.
 
         Raises DataError as `rows` does, and with the row's place for what it or `parse` refuses.
         """

@@ -71,7 +71,7 @@ def load_camera(name: str | Path) -> Camera:
 
 
 class PictureKnowledge(TypedDict, total=False):
-    """What may be known of a picture besides its camera, time and attitude.
+    """Optional knowledge of a picture besides its camera, time and attitude.
 
     attitude_sigma_arcsec  error of the attitude, 1 sigma an axis; 0: exact, as without it; None: a
                            first guess only

@@ -70,7 +70,7 @@ class PatientStream(io.TextIOWrapper):
 
 
 def _as_printed(error: UnicodeError) -> tuple[str | bytes, int]:
-    """What an encoding lacks: names of files that are no text as their bytes, all else escaped."""
+    """Replace what an encoding lacks: undecodable names by their bytes, all else by escapes."""
     try:
         return codecs.lookup_error("surrogateescape")(error)
     except UnicodeError:
@@ -332,7 +332,7 @@ def announce_compilation() -> None:
 
 
 class _CompilationListener:
-    """What numba calls around each compilation that its cache could not spare."""
+    """Listener of numba's compilations, that is of kernels missing in its cache."""
 
     def notify(self, event: Any) -> None:
         if event.is_start:

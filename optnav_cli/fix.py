@@ -21,7 +21,7 @@ GAP_STEPS, GAP_PX = 5.0, 12.0  # a limb is drawn in pieces where its points stan
 
 
 class Method(StrEnum):
-    """How a position was found, as solution.csv names it."""
+    """Method of a position, as solution.csv names it."""
 
     CONTROL_POINTS = "control_points"
     HORIZON = "horizon"  # the limb on the skyline of the body's relief or shape
@@ -41,7 +41,7 @@ class Method(StrEnum):
 
 
 class MatchKind(StrEnum):
-    """What was sought in a frame, as matches.csv names it."""
+    """Kind of target sought in a frame, as matches.csv names it."""
 
     CONTROL_POINT = "control_point"
     WINDOW = "window"  # a part of the terrain model, by its number on the descent's lattice
@@ -96,7 +96,7 @@ class MatchRow:
 
     @property
     def label(self) -> str:
-        """What it is called in drawings and tables: its name, else its number."""
+        """Label in drawings and tables: the name, else the number."""
         return self.name or str(self.cp_id)
 
 
@@ -140,7 +140,7 @@ class OutlineMarks:
 
 @dataclass(frozen=True)
 class GateMargins:
-    """How far a pose from control points lies inside the gates that accept one.
+    """Margins of a control-point pose inside the gates that accept it.
 
     chance_decades  powers of ten against chance beyond those asked for; refused below 0
     scatter         how wide the matches scatter over the widest accepted; refused above 1
@@ -152,7 +152,7 @@ class GateMargins:
 
 @dataclass(frozen=True)
 class LensEstimate:
-    """How a lens differs from its camera file, estimated with the pose.
+    """Difference of a lens from its camera file, estimated with the pose.
 
     focal_scale, focal_scale_sigma  focal length over the stated; None where it counts as exact
     shift_px, shift_sigma_px        of the principal point, x and y; None where it counts as exact
@@ -166,7 +166,7 @@ class LensEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What a fix rests on, or what was tried for one; None where it does not apply.
+    """Measurements behind a fix, or behind a failed attempt; None where it does not apply.
 
     n_predicted      control points expected in view, lit, unhidden and whole inside the frame
     n_matched        of these, found: the matcher accepts a place
@@ -293,12 +293,12 @@ class Solution:
 
     @property
     def method(self) -> str:
-        """How it was solved; empty when no method got so far."""
+        """Name of the method; empty when no method got so far."""
         return self.outcome.method or ""
 
     @property
     def evidence(self) -> Evidence:
-        """What the fix rests on, or what was tried."""
+        """Measurements behind the fix, or behind the failed attempt."""
         return self.outcome.evidence
 
     @property
@@ -338,12 +338,12 @@ class Solution:
 
     @property
     def n_matched(self) -> int | None:
-        """Of these, found."""
+        """Control points that were matched."""
         return self.evidence.n_matched
 
     @property
     def n_used(self) -> int | None:
-        """Of these, kept by the solution."""
+        """Control points that the solution keeps."""
         return self.evidence.n_used
 
     @property

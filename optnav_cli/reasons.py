@@ -110,7 +110,7 @@ def distinct_texts(value: float, limit: float, decimals: int) -> tuple[str, str]
 
 
 def longer(share: float) -> str:
-    """By how much a length is longer than another, in words: "9.7 % shorter" of -0.097."""
+    """Say by how much a length is longer, in words: "9.7 % shorter" of -0.097."""
     return f"{100.0 * abs(share):.1f} % {'longer' if share > 0.0 else 'shorter'}"
 
 
@@ -123,7 +123,7 @@ class Reason:
 
     @classmethod
     def of(cls, error: NoSolutionError) -> "Reason":
-        """What an error says."""
+        """Make the reason that an error states."""
         return cls(ReasonCode(error.code), str(error))
 
     def __bool__(self) -> bool:
@@ -137,7 +137,7 @@ class Reason:
         return NoSolutionError(self.text, self.code)
 
     def worded(self, text: str) -> "Reason":
-        """The same code with another sentence, in which this one stands."""
+        """Return the same code with another sentence, which includes this one."""
         return replace(self, text=text)
 
     def followed_by(self, other: "Reason") -> "Reason":

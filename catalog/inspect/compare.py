@@ -51,7 +51,7 @@ class ComparedCatalog:
 
 
 class ReliefChange(NamedTuple):
-    """How two reliefs of as many rows differ.
+    """Difference of two reliefs with the same number of rows.
 
     cells        whose mean or top is another
     mean_max_m, mean_rms_m, top_max_m  differences of all cells' means and tops
@@ -166,7 +166,7 @@ def _content(meta: CatalogMeta) -> dict[str, str]:
 
 
 def _provenance(meta: CatalogMeta) -> dict[str, str]:
-    """What else there is: program, time, hashes of terrain models, values of the build config."""
+    """Collect what is no content: program, time, terrain hashes, values of the build config."""
     values = {name: str(getattr(meta, name)) for name in OF_THE_MOMENT}
     sources = {f"source {name}": text for name, text in meta.sources.items()}
     errors = {f"error of {n}": f"{e.error_m:g} m" for n, e in meta.terrain_errors.items()}
@@ -256,7 +256,7 @@ def _relief_change(a: Catalog, b: Catalog) -> ReliefChange | None:
 
 
 def _side(catalog: Catalog, shared: IntArray, comparable: bool, stage: Stage) -> ComparedCatalog:
-    """What stands in one catalog only; its patches are read to know that they are whole."""
+    """Select what only one catalog has; its patches are read to check that they are intact."""
     alone = ~np.isin(catalog.ids, shared)
     for number in catalog.ids[alone].tolist():
         catalog.stored_patches(number)

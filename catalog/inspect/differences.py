@@ -18,7 +18,7 @@ SHOWN = 10  # lines a kind; the table (`difference_table`) has all
 
 
 def summary(comparison: Comparison) -> str:
-    """What differs, in one line; "" for nothing."""
+    """Summarise the differences in one line; "" without any."""
     words = {
         "only_in_first": f"points only in {comparison.first.path.name}",
         "only_in_second": f"points only in {comparison.second.path.name}",
@@ -32,7 +32,7 @@ def summary(comparison: Comparison) -> str:
 
 
 def counts(comparison: Comparison) -> dict[str, int]:
-    """How many settings differ, and how many points in what."""
+    """Count the settings that differ, and the points by kind of difference."""
     moved, usable = comparison.moved_m > 0.0, comparison.field_changed("usable")
     reasons = comparison.field_changed("flags") & ~usable
     certificate = np.any([comparison.field_changed(name) for name in CERTIFICATE], axis=0)
@@ -291,7 +291,7 @@ def _rows(comparison: Comparison) -> Iterator[Document]:
 
 
 def _columns(side: ComparedCatalog, record: Record, suffix: str) -> Document:
-    """What one catalog says about a point."""
+    """Return the columns of the table that describe a point in one catalog."""
     columns: Document = {
         "usable": int(record["usable"]),
         "reasons": Flag(int(record["flags"])).label,

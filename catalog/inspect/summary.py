@@ -21,7 +21,7 @@ Document = dict[str, Any]  # plain values by name, units in the names
 
 
 def rejected_by_reason(catalog: Catalog) -> dict[str, int]:
-    """How many points that are not usable carry each flag; one may carry several."""
+    """Count the unusable points with each flag; a point may have several."""
     flags = catalog.records["flags"][~catalog.usable]
     counts = {flag.label: int(np.count_nonzero(flags & int(flag))) for flag in Flag}
     return {reason: number for reason, number in counts.items() if number}
@@ -45,7 +45,7 @@ def extent_deg(catalog: Catalog) -> Document | None:
 
 
 def catalog_document(catalog: Catalog) -> Document:
-    """What a catalog holds: plain values, under names that say their units."""
+    """Describe a catalog by plain values, with units in their names."""
     meta = catalog.meta
     usable = int(np.count_nonzero(catalog.usable))
     return {
@@ -96,7 +96,7 @@ def describe(document: Document) -> dict[str, str]:
 
 
 def _planes(meta: CatalogMeta) -> Document | None:
-    """What patches in tangent planes touch, and how fine the shape model under them is."""
+    """Describe the ellipsoid of tangent-plane patches and the posting of the shape model."""
     if meta.planes is None:
         return None
     posting = meta.planes.model_posting_m
@@ -153,13 +153,13 @@ def _relief_words(relief: Document | None) -> str:
 
 
 def _template_sigma_m(error: TerrainErrorModel, meta: CatalogMeta) -> list[float]:
-    """What the error does to the place of a whole patch of each level on highlands, an axis."""
+    """Compute the position sigma of a full patch of each level on highlands, m per axis."""
     sides = (meta.size * meta.posting_m * 2**level for level in range(meta.levels))
     return [error.point_sigma_m(side, REFERENCE_SLOPE).shift_m for side in sides]
 
 
 def _comparison(catalog: Catalog) -> Document | None:
-    """How far the comparison model moves the points."""
+    """Summarise how far the comparison model moves the points."""
     meta = catalog.meta.comparison
     if meta is None:
         return None
@@ -219,7 +219,7 @@ _WORDS: dict[str, Callable[[Any], dict[str, str]]] = {
 
 
 def verification_document(verification: "Verification") -> Document:
-    """What `verify` verification, as plain values."""
+    """Return the result of `verify` as plain values."""
     return {
         "catalog": str(verification.path),
         "sound": verification.sound,
@@ -233,7 +233,7 @@ def verification_document(verification: "Verification") -> Document:
 
 
 def point_document(point: ControlPoint) -> Document:
-    """What is known about a point: plain values, under names that say their units."""
+    """Describe a control point by plain values, with units in their names."""
     x, y, z = (float(v) for v in point.xyz_m)
     reasons = point.flags.label
     return {

@@ -25,7 +25,7 @@ Needs = dict[str, Any]  # builtin types alone, for the eyes of other versions
 
 
 def needs_of(files: Iterable[Path]) -> Needs:
-    """What a worker must have: this code, these libraries, and files with the same content."""
+    """List what a worker must have: this code, these libraries, and files with the same content."""
     return {
         "code": code_key(),
         "surroundings": surroundings(),

@@ -38,7 +38,7 @@ class Peak(msgspec.Struct, frozen=True):
 
 
 class Usage(msgspec.Struct, frozen=True):
-    """What a process used for a piece of work; bytes are None where the system does not tell."""
+    """Resources that a process used for a piece of work; bytes are None where not counted."""
 
     process: str
     cpu_s: float
@@ -48,7 +48,7 @@ class Usage(msgspec.Struct, frozen=True):
 
 
 class StageAccount(msgspec.Struct):
-    """What a stage did and used.
+    """Work and resources of one stage.
 
     done, kept        pieces of work done now, and found done by earlier runs
     seconds           by the clock
@@ -93,7 +93,7 @@ class StageAccount(msgspec.Struct):
 
 
 class Account(msgspec.Struct):
-    """What came of a run and what it used.
+    """Result and resources of a run.
 
     cells           that have ground
     points, usable  of the checked points; None as long as they are not checked
@@ -140,7 +140,7 @@ def _greater(a: Peak | None, b: Peak) -> Peak:
 
 
 class _State(NamedTuple):
-    """What this process has used since it began."""
+    """Resources that this process has used since it began."""
 
     cpu_s: float
     mark_bytes: int

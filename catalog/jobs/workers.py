@@ -222,7 +222,7 @@ class ExecutorWorkers:
 
 
 def _taken(ended: "SimpleQueue[Future[R]]", patience_s: float) -> "list[Future[R]]":
-    """What has ended, once something has; nothing when that takes longer than patience."""
+    """Wait for a first future to end and return all that have; none after `patience_s` seconds."""
     taken: list[Future[R]] = []
     try:
         taken.append(ended.get(timeout=patience_s))

@@ -256,7 +256,7 @@ def pack(value: Any) -> bytes:
 
 
 def unpack(data: bytes, type_: type[T]) -> T:
-    """What bytes of `pack` hold; rotations are normalised anew. Raises MsgspecError."""
+    """Decode the bytes of `pack`; rotations are normalised again. Raises MsgspecError."""
     return msgspec.msgpack.decode(data, type=type_, dec_hook=_rich)
 
 

@@ -40,7 +40,7 @@ STAGES = ("ingest", "render", "select", "check", "write")
 
 @dataclass
 class BuildReport:
-    """What came of a run; output and digest are there once the catalog is written."""
+    """Result of a run; output and digest are set once the catalog is written."""
 
     work: Path
     account: Account

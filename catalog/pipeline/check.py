@@ -35,7 +35,7 @@ FATAL = NOT_TRIED | Flag.NOT_UNIQUE | Flag.NOT_RECOGNISED | Flag.SHADOWED
 
 
 class Certificate:
-    """What is found out about a place; its trials are run until their verdict is decided.
+    """Findings about a candidate place; its trials run until their verdict is decided.
 
     successes, trials  of the recognition trials that were run
     uniqueness         margins by level, finest first
@@ -60,7 +60,7 @@ class Certificate:
 
     @cached_property
     def patches(self) -> tuple[Patch, ...]:
-        """Of the place, finest first; cut for places that are looked at."""
+        """Patches of the place, finest first; cut only for places that are examined."""
         return self._context.patches(self.place.lat_deg, self.place.lon_deg)
 
     @cached_property
@@ -70,7 +70,7 @@ class Certificate:
 
     @cached_property
     def _outcomes(self) -> Iterator[Outcome]:
-        """Of the trials that are still to be run."""
+        """Outcomes of the trials that are still to be run."""
         return outcomes_at(
             self._context,
             self.patches,
@@ -82,7 +82,7 @@ class Certificate:
         )
 
     def _examined(self) -> Flag:
-        """What the patches tell by themselves; sets the shadow limits."""
+        """Derive the flags known from the patches alone; sets the shadow limits."""
         settings, candidate, context = self.settings, self.place, self._context
         flags = Flag.NONE
         # of a whole raster no patch has a hole; a mesh may overhang
@@ -128,7 +128,7 @@ class Certificate:
 
     @property
     def merit(self) -> tuple[bool, int]:
-        """By which places of a cell are compared."""
+        """Sort key by which the places of a cell are compared."""
         return self.usable, self.successes
 
     @property
@@ -187,7 +187,7 @@ def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[
 def check_and_prepare_chunk(
     context: StageContext, records: Sequence[SelectedCell]
 ) -> tuple[list[ControlPoint], list[PreparedPoint]]:
-    """As `check_chunk`, and the points ready for the file, by id, from the patches at hand."""
+    """Check cells as `check_chunk` does, and prepare their points for the file, sorted by id."""
     steps = context.config.write.steps_m(context.postings_m)
     points, prepared = [], []
     with held_settings():

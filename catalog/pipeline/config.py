@@ -70,7 +70,7 @@ class MeshSection(MeshSettings, frozen=True, forbid_unknown_fields=True):
 
 
 def stated_error(section: DemSection | MeshSection) -> StatedError:
-    """What a section says about its model's error."""
+    """Return the error that a section states of its model."""
     return StatedError(section.product, section.error_m, section.resolution_km)
 
 

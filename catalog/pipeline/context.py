@@ -58,7 +58,7 @@ class DemRecord(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class IngestRun:
-    """What the inputs of a build are prepared with.
+    """Settings and services with which the inputs of a build are prepared.
 
     workspace  where results rest
     workers    threads that read terrain models
@@ -81,7 +81,7 @@ class IngestRun:
 
 @dataclass(frozen=True)
 class StageContext:
-    """What all stages work with; pickles small (paths and numbers), a worker opens files again.
+    """Inputs common to all stages; pickles small (paths and numbers), a worker opens files again.
 
     mosaic     the terrain
     posting_m  of the finest patches, settled from the config or the DEM

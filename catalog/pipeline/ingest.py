@@ -266,7 +266,7 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
 
 
 def _halvings(shape: Shape, finest_m: float) -> int:
-    """How often edges are halved until faces span few nodes, as far as memory allows."""
+    """Count the halvings of edges until faces span few nodes, as far as memory allows."""
     wanted = math.ceil(math.log2(shape.posting_m / (FACE_NODES * finest_m)) - 1e-9)
     if shape.posting_m <= finest_m or wanted <= 0:
         return 0

@@ -35,7 +35,7 @@ MAX_PART = 1 << 26  # nodes: 256 MB
 
 
 class Shortlist(NamedTuple):
-    """What a cell has to choose from.
+    """Candidate places of one cell.
 
     places    (n, 2) latitude and longitude, deg, best first
     complete  whether the patches of all places of the cell have ground everywhere

@@ -90,7 +90,7 @@ def _levels(
     search: Search,
     ground: int,
 ) -> list[Level]:
-    """What is seen and what is known of a place, finest first.
+    """Cut the seen ground and the catalog's reference of a place, finest level first.
 
     patches  of the place, finest first; the relief that is added is below their posting, or below
              the terrain's own where they are finer than that

@@ -42,7 +42,7 @@ FILE = "written.json"
 
 
 class CatalogExtras(NamedTuple):
-    """What a catalog holds beside its points.
+    """Contents of a catalog besides its points.
 
     sources      terrain models: name -> hash
     config_text  the build config

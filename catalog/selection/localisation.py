@@ -201,7 +201,7 @@ def hessian_eigenvalue_map(
 def hessian_eigenvalue(
     heights: Float32Array, posting_m: float, products: Float32Array | None = None
 ) -> float:
-    """The same for one square patch, summed over all of it; NaN when it has holes."""
+    """Compute the eigenvalue of one square patch, summed over all of it; NaN when it has holes."""
     side = min(heights.shape)
     return float(hessian_eigenvalue_map(heights[:side, :side], posting_m, side, products)[0, 0])
 
@@ -323,7 +323,7 @@ def _contrast_by_halves(brightness: Float32Array, taps: Float32Array) -> float:
 
 @dataclass(frozen=True)
 class MatchPrediction:
-    """How well a rendered template would match its own picture under white noise.
+    """Predicted quality of a match of a rendered template with its own picture under white noise.
 
     error_px     1-sigma error along the worst direction, nodes; infinite without contrast in some
                  direction or without any light

@@ -95,7 +95,7 @@ class Gate(NamedTuple):
 
 
 class Search(NamedTuple):
-    """How the reference is looked for.
+    """Settings of the search for the reference.
 
     template_nodes           side of the reference, the same at every level
     coarse_nodes             room on every side at the coarsest level of the trial

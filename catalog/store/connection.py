@@ -33,7 +33,7 @@ PIECE = 1 << 20
 
 
 class SealState(Enum):
-    """What a seal says about the bytes of its file."""
+    """State of a file's bytes by its seal."""
 
     NONE = "the file carries no seal"
     WHOLE = "as it was written, byte for byte"

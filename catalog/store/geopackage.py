@@ -247,7 +247,7 @@ def srs_of(body: str, radius_m: float) -> tuple[int, str, str, int, str]:
 def spheroid_srs_of(
     body: str, radii_m: tuple[float, float, float]
 ) -> tuple[int, str, str, int, str]:
-    """The same five of geodetic degrees on a body's spheroid; EPSG:4326 for WGS 84."""
+    """Return the values of `srs_of` for geodetic degrees on a spheroid; EPSG:4326 for WGS 84."""
     a, _, c = radii_m
     inverse = a / (a - c)
     if body == "earth" and (a, round(inverse, 6)) == WGS84:

@@ -60,7 +60,7 @@ MAX_RELIEF_ROWS = 2880
 
 @dataclass(frozen=True)
 class ReliefMeta:
-    """What a catalog says of the relief of the whole body that it carries.
+    """Manifest entry of the relief of the full body.
 
     rows    of cells; there are twice as many columns
     source  the terrain models that it was made from
@@ -74,7 +74,7 @@ class ReliefMeta:
 
 @dataclass(frozen=True)
 class PlanesMeta:
-    """What a catalog of a small body says of its patches, which lie in tangent planes.
+    """Manifest entry of patches that lie in tangent planes, as those of small bodies do.
 
     radii_m          semi-axes, along body x, y, z, of the ellipsoid that the planes touch
     model_posting_m  distance of the shape model's vertices: finer patches are oversampled
@@ -87,7 +87,7 @@ class PlanesMeta:
     verticals_deg: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
     def rounded(self) -> dict[str, Any]:
-        """As it is written."""
+        """Return the entry as it is written."""
         radii_m = [round(float(radius), 3) for radius in self.radii_m]
         values = {"radii_m": radii_m, "model_posting_m": round(float(self.model_posting_m), 3)}
         if not self.verticals_deg:
@@ -109,7 +109,7 @@ class PlanesMeta:
 
 @dataclass(frozen=True)
 class ComparisonMeta:
-    """What a catalog says of a second terrain model that its points were compared with.
+    """Manifest entry of the second terrain model that the points were compared with.
 
     sources      of the second model: name -> hash
     max_shift_m  beyond which points were flagged; None without a limit
@@ -123,7 +123,7 @@ class ComparisonMeta:
 
 @dataclass(frozen=True)
 class CatalogMeta:
-    """What all points of a catalog share.
+    """Properties common to all points of a catalog.
 
     radius_m       the body's reference sphere: heights are above it, projections on it, unless
                    patches lie in planes

@@ -102,7 +102,7 @@ def patch_from_row(row: Sequence[object], point_id: int, level: int) -> Patch:
 
 
 def patch_header(point_id: int, level: int, posting_m: float, encoded: Encoded) -> bytes:
-    """What checksum and digest cover of a patch beside its data."""
+    """Pack the part of a patch, besides its data, that checksum and digest cover."""
     numbers = encoded.size, posting_m, encoded.step, encoded.offset
     return _HEADER.pack(point_id, HEIGHT_LAYER, level, *numbers)
 

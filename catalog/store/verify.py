@@ -55,7 +55,7 @@ class Problem:
 
 @dataclass
 class Verification:
-    """What `verify` found.
+    """Result of `verify`.
 
     stated, computed  the digest in the manifest and that of what was read ("" if unreadable)
     points, patches   read and whole

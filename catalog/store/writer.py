@@ -42,7 +42,7 @@ from catalog.store.schema import (
 
 @dataclass(frozen=True)
 class Written:
-    """What was written."""
+    """Summary of a written catalog."""
 
     path: Path
     count: int

@@ -56,7 +56,7 @@ NINE_IDENTITY: Nine = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 class SpiceKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How SPICE kernels name the craft (a NAIF number) and the frame of its camera.
+    """Names of the craft (a NAIF number) and of its camera's frame in SPICE kernels.
 
     correction  of the body's place and rotation as the craft sees them: light time and stellar
                 aberration ("LT+S"), light time alone ("LT"), neither ("NONE")

@@ -36,7 +36,7 @@ MIN_DARK_PHASE = np.radians(120.0)  # of the Sun behind the body
 
 @dataclass(frozen=True, eq=False)
 class StatedGeometry:
-    """What an import states of one picture, body frame.
+    """Geometry of one picture as an import states it, body frame.
 
     sun_body              (3,) unit vector to the Sun
     attitude_sigma_rad    None for a first guess, with which the view proves nothing

@@ -153,7 +153,7 @@ def _inverted(path: Path, matrix: FloatArray) -> FloatArray:
 def _orient(
     path: Path, by_pixel: FloatArray, body_isis: FloatArray
 ) -> tuple[FloatArray, bool, Rotation]:
-    """How the picture lies: mm by pixel to the right and down, whether it is upside down, rotation.
+    """Derive mm per pixel right and down, whether the picture is upside down, and its rotation.
 
     A pixel looks along (x, y, f) or, for some cameras, (x, y, -f), and no keyword says which. With
     -f it must be the picture of a proper camera, and the body behind the other way.

@@ -66,7 +66,7 @@ KEYWORDS = {
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """What a cube's label states of its instrument."""
+    """Statements of a cube's label about its instrument."""
 
     path: Path
     naif: Label

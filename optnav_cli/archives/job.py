@@ -38,7 +38,7 @@ NO_TRANSX = (
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What is named beside the files; None: as the table says.
+    """Options of an import besides its files; None: as the table says.
 
     table     a name of those that ship or a path; None: the one that matches a label
     camera    a name of those that ship or a path;  body  likewise
@@ -55,7 +55,7 @@ class ImportOptions:
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """What came of an import: the frames, and what people must know, a line each."""
+    """Result of an import: the frames, and remarks for people, one per line."""
 
     frames: list[Frame]
     remarks: list[str]
@@ -229,7 +229,7 @@ class _Importer:
         return self._tables[path]
 
     def _motion_of(self, source: ImportSource, where: Path, table: ImportTable) -> Ephemeris:
-        """How the one body of the folder turns; a label of another one is refused."""
+        """Return the rotation model of the folder's body; a label of another body is refused."""
         target = source.text(table.target).lower() if table.target else ""
         shipped = resource("configs/bodies/moon.toml").parent.glob("*.toml")
         of_target = body_of_target(target, [path.stem for path in sorted(shipped)])

@@ -253,7 +253,7 @@ def _depth(statement: Statement) -> int:
 
 
 def _settings_values(path: Path, text: str) -> Values:
-    """Of lists of settings in sections, as SECTION.KEY; lists of numbers stand in brackets."""
+    """Parse settings in sections to SECTION.KEY; lists of numbers stand in brackets."""
     parser = configparser.ConfigParser(interpolation=None, strict=False)
     try:
         parser.read_string(text)

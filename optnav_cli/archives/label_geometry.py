@@ -238,7 +238,7 @@ def _direction(longitude: float, latitude: float) -> FloatArray:
 
 
 def _stated_word(label: ArchiveLabel, words: Mapping[str, Mapping[str, str]], default: str) -> str:
-    """What a label states of several keywords by the words it uses, else the table's."""
+    """Return the meaning of the first stated keyword of several, else the table's default."""
     for key, meanings in words.items():
         if label.is_stated(key):
             text = label.text(key).upper()

@@ -73,6 +73,6 @@ def is_bottom_first(text: Callable[[str], str]) -> bool:
 
 
 def stated_keywords(text: Callable[[str], str], *, coded: bool) -> list[tuple[str, str]]:
-    """What a label states of KEYWORDS, less its coding where the camera file says that."""
+    """Collect the stated KEYWORDS of a label, without coding where the camera file has it."""
     names = [name for name in KEYWORDS if not (coded and name in CODING_KEYWORDS)]
     return [(name, value) for name in names if (value := text(name))]

@@ -29,7 +29,7 @@ class ImportSource:
     where: str = ""
 
     def text(self, key: str) -> str:
-        """What a label states for a keyword, or nothing."""
+        """Return the label's value of a keyword, "" where it states none."""
         if self.label is not None:
             try:
                 return self.label.text(key)

@@ -117,13 +117,13 @@ class Camera:
         return blur_px, self.psf_error_px * max(self.psf_sigma_px, self.psf_error_px) / blur_px
 
     def with_focal_factor(self, factor: float) -> "Camera":
-        """The same with its focal lengths multiplied."""
+        """Return the camera with its focal lengths multiplied."""
         x_px, y_px = self.focal_length_px * factor, self.focal_length_y_px
         y_px = None if y_px is None else y_px * factor
         return replace(self, focal_length_px=x_px, focal_length_y_px=y_px)
 
     def with_lens(self, factor: float, shift_px: ArrayLike, k1: float) -> "Camera":
-        """The same with focal lengths multiplied, principal point moved (2,), k1 added to."""
+        """Return the camera with focal lengths scaled, principal point moved (2,), k1 added to."""
         x_px, y_px = np.asarray(shift_px, dtype=np.float64)
         return _with_lens(self, float(factor), float(x_px), float(y_px), float(k1))
 
@@ -137,7 +137,7 @@ class Camera:
         return stated if self.boresight_arcsec is None else self.boresight * stated
 
     def stated(self, attitude: Rotation) -> Rotation:
-        """What files state of the camera's attitude."""
+        """Return the attitude that files state for this attitude of the camera."""
         return attitude if self.boresight_arcsec is None else self.boresight.inv() * attitude
 
     @cached_property
@@ -268,7 +268,7 @@ def _with_lens(camera: Camera, factor: float, x_px: float, y_px: float, k1: floa
 
 
 def _tilt(tau_x: float, tau_y: float) -> FloatArray:
-    """How a sensor that is turned about x, then about y, rad, moves the picture plane: (3, 3).
+    """Return the map (3, 3) of the picture plane for a sensor turned about x, then about y, rad.
 
     As OpenCV defines its tilted sensor.
     """

@@ -17,7 +17,7 @@ Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 
 
 class Coding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """How counts are coded.
+    """Relation between stored counts and light.
 
     curve   "linear": as light;  "square": light grows by the square of the counts;  "gamma": by
             their power `gamma`;  "table": as `counts` and `linear` say, straight lines between
@@ -29,7 +29,7 @@ class Coding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     linear: tuple[Number, ...] = ()
 
     def problem(self) -> str:
-        """What is wrong with the settings, with the remedy; empty for nothing."""
+        """Describe what is wrong with the settings, with the remedy; empty for nothing."""
         if (self.gamma is None) == (self.curve == "gamma"):
             return 'gamma belongs to curve = "gamma", and that wants it'
         if self.curve != "table":

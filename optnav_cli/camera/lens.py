@@ -159,7 +159,7 @@ def _opencv_pixel(p: FloatArray, x: float, y: float, z: float) -> tuple[float, f
 
 @kernel
 def _opencv_derivatives(p: FloatArray, x: float, y: float, z: float) -> Derivatives:
-    """As `_derivatives`, of a pinhole with all terms."""
+    """Compute `_derivatives` of a pinhole with all terms."""
     a, b = x / z, y / z
     u, v, ua, ub, va, vb = _opencv(p, a, b)
     u, v, depth = _tilted(p, TILT, u, v)
@@ -242,7 +242,7 @@ def _invert_radius(model: int, p: FloatArray, wanted: float, highest: float) -> 
 def _distorted(
     model: int, p: FloatArray, a: float, b: float
 ) -> tuple[float, float, float, float, float, float]:
-    """As `_opencv`, of either pinhole."""
+    """Compute `_opencv` of either pinhole."""
     if model == OPENCV:
         return _opencv(p, a, b)
     x, y, xx, xy, yy = _brown(p, a, b)
@@ -308,7 +308,7 @@ def _ray(model: int, p: FloatArray, x: float, y: float) -> tuple[float, float, f
 def project_opencv(
     p: FloatArray, points: FloatArray, pixels: FloatArray, jacobians: FloatArray
 ) -> None:
-    """As `project_with_derivatives`, of a pinhole with all terms.
+    """Compute `project_with_derivatives` of a pinhole with all terms.
 
     A kernel of its own: its length would make those of the other lenses slower by half and more.
     """

@@ -172,14 +172,14 @@ def _shipped(kind: str) -> Iterator[dict[str, str]]:
 
 
 def first_sentence(path: Path) -> str:
-    """What a config is: the first sentence of the comment at its head."""
+    """Return the description of a config: the first sentence of the comment at its head."""
     lines = path.read_text(encoding="utf-8").splitlines()
     comment = [line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), lines)]
     return re.split(r"(?<=\w)\. |: |; ", " ".join(comment))[0].rstrip(".") + "."
 
 
 def _data_description(path: Path) -> str:
-    """What a data file is: its line in the README beside it."""
+    """Return the description of a data file: its line in the README beside it."""
     text = path.with_name("README.md").read_text(encoding="utf-8")
     match = re.search(rf"^\| `{re.escape(path.name)}` \| (.*?) \|", text, re.MULTILINE)
     return match[1] if match else ""

@@ -41,7 +41,7 @@ class Folder:
 
     @property
     def attitude(self) -> FileAttitude:
-        """How the folder's files write attitudes."""
+        """Convention by which the folder's files write attitudes."""
         return FileAttitude(self.settings.attitude, self.body, self.motion)
 
     def picture_path(self, frame: Frame) -> Path:

@@ -38,7 +38,7 @@ class Observation:
 
     @property
     def source(self) -> str:
-        """What a prior is called that another frame takes from this one."""
+        """Source name of a prior that another frame takes from this one."""
         return f"{self.camera.name} camera, {self.file}"
 
 

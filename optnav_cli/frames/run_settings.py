@@ -61,7 +61,7 @@ HeightKind = Literal["sphere", "ellipsoid"]
 
 
 class PointsSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the coordinates of points.csv are.
+    """Meaning of the coordinates in points.csv.
 
     latitude  from the body's centre, or of the normal of its ellipsoid, as on maps of the Earth
     height    above the body's sphere, or above its ellipsoid
@@ -157,7 +157,7 @@ def write_run_settings(settings: RunSettings, folder: Path) -> None:
 
 @dataclass(frozen=True)
 class FileAttitude:
-    """How the files of one folder write attitudes and places; `name`: `attitude` of run.toml.
+    """Convention of one folder's attitudes and positions; `name`: `attitude` of run.toml.
 
     Files state them in the frame that users have; read, they are in that of the body's catalogs.
 
@@ -173,7 +173,7 @@ class FileAttitude:
 
     @property
     def ephemeris(self) -> Ephemeris:
-        """How the body turns."""
+        """Rotation model of the body."""
         return self.motion or AnalyticEphemeris(self.body)
 
     @property
@@ -207,7 +207,7 @@ class FileAttitude:
         return self.ephemeris.error_m(tdb_s) / self.body.radius_m
 
     def inertial_from_body(self, time: float | str) -> Rotation:
-        """How the body is turned at a time."""
+        """Return the orientation of the body at a time."""
         return self._body_from_inertial(time).inv()
 
     def _body_from_inertial(self, time: float | str) -> Rotation:
