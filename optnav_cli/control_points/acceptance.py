@@ -73,6 +73,8 @@ class LightLimits(_Limits, frozen=True):
     nodes: Positive
     points: Positive
     gain: Positive
+    agreeing_gain: Positive
+    agreement: Positive
     turn_deg: Positive
 
 
@@ -243,9 +245,12 @@ def point_light(
 def rejection_of_light(lights: Sequence[PointLight]) -> Reason:
     """Why the picture of some points contradicts the stated Sun; empty when it does not."""
     stated, free, along, across = np.reshape(lights, (-1, 4)).T
-    turn_deg = float(np.degrees(np.arctan2(free @ across, free @ along)))
+    sideways, towards = float(free @ across), float(free @ along)
+    turn_deg = float(np.degrees(np.arctan2(sideways, towards)))
     limits = acceptance_limits().light
-    if free.sum() <= limits.gain * stated.sum() or abs(turn_deg) < limits.turn_deg:
+    agree = np.hypot(sideways, towards) >= limits.agreement * free.sum()
+    gain = limits.agreeing_gain if agree else limits.gain
+    if free.sum() <= gain * stated.sum() or abs(turn_deg) < limits.turn_deg:
         return NO_REASON
     way = "counter-clockwise" if turn_deg > 0.0 else "clockwise"
     return Reason(

@@ -276,7 +276,7 @@ def _lights(frame: FrameContext, last: _Pass) -> list[acceptance.PointLight]:
     """Where the light on some of the used points comes from; none where scores leave no doubt."""
     limits = acceptance.acceptance_limits().light
     scores = np.array([last.matches[k].score or 0.0 for k in last.used])
-    if np.mean(scores**2) >= 1.0 / limits.gain:
+    if np.mean(scores**2) >= 1.0 / limits.agreeing_gain:
         return []  # no other light can explain so many times as much
     step = max(len(scores) / limits.points, 1.0)
     some = [last.used[int(at)] for at in np.arange(0.0, len(scores) - 0.5, step)]

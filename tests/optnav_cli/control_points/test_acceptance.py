@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from optnav_cli.control_points.acceptance import (
+    PointLight,
     acceptance_limits,
     decades_of_parts,
     log10_false_alarms,
+    rejection_of_light,
     rejection_of_matches,
     rejection_of_parts,
     rejection_of_place,
@@ -138,3 +140,28 @@ def test_a_weakly_determined_pose_is_not_held_against_the_prior():
     """With a free attitude and few points the pose itself may be kilometres uncertain."""
     prior = PositionPrior.isotropic(PLACE_M, 500.0, "test")
     assert not rejection_of_place(PLACE_M + [0.0, 9e3, 0.0], np.eye(3) * 4e3**2, prior)
+
+
+def lights(ratio, turns_deg):
+    """Points whose light explains so many times as much from those sides as from the stated Sun."""
+    turns = np.radians(turns_deg)
+    return [PointLight(0.2, 0.2 * ratio, np.cos(turn), np.sin(turn)) for turn in turns]
+
+
+AGREEING, SCATTERED = [-150.0, -140.0, -160.0, -170.0], [-150.0, -60.0, 160.0, -120.0]
+
+
+@pytest.mark.parametrize(
+    ("ratio", "turns_deg", "refused"),
+    [
+        (1.9, AGREEING, True),
+        (1.3, AGREEING, False),
+        (1.9, SCATTERED, False),
+        (2.1, SCATTERED, True),
+        (2.1, [-30.0, 20.0, 30.0, 10.0], False),
+        (1.9, [-30.0, 20.0, 30.0, 10.0], False),
+    ],
+)
+def test_a_side_that_the_points_agree_about_needs_less_gain(ratio, turns_deg, refused):
+    reason = rejection_of_light(lights(ratio, turns_deg))
+    assert (reason.code == ReasonCode.WRONG_SUN) is refused
