@@ -135,7 +135,7 @@ class DistanceModel:
     """A measured distance of the middle of the first grid."""
 
     def __init__(self, distance: GridDistance, unknowns: int) -> None:
-        self._distance, self._unknowns = distance, unknowns
+        self._measure_limb_distance, self._unknowns = distance, unknowns
 
     def linearise(self, state: FloatArray) -> Linearisation:
         """The measurement at a state."""
@@ -143,8 +143,8 @@ class DistanceModel:
         length = float(np.linalg.norm(place))
         jacobian = np.zeros((1, self._unknowns))
         jacobian[0, LENS + 3 : LENS + 6] = place / length
-        off = np.array([self._distance.value_mm - length])
-        return linearised(off, jacobian, np.array([self._distance.sigma_mm**-2.0]))
+        off = np.array([self._measure_limb_distance.value_mm - length])
+        return linearised(off, jacobian, np.array([self._measure_limb_distance.sigma_mm**-2.0]))
 
 
 def calibrate_by_grids(

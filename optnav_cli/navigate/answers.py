@@ -22,7 +22,7 @@ from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.fix import Fix, Method, NoFix, PositionPrior, Solution, UnsolvedFrameError
 from optnav_cli.frames.observation import Observation
 from optnav_cli.outline import method as outline
-from optnav_cli.outline.neighbour import other_body
+from optnav_cli.outline.neighbour import find_other_body
 from optnav_cli.reasons import Reason
 
 # Answers of a frame by their questions: bytes of `pack`.
@@ -119,7 +119,7 @@ class FrameMethods:
     def _outline(self, observation: Observation) -> Fix | NoFix:
         inputs, turn, sun = self._inputs, observation.camera_from_body, observation.sun_body
         sigma = inputs.settings.attitude_sigma_rad(observation.attitude_sigma_rad)
-        body, other = inputs.motion.body, other_body(inputs.motion, observation.tdb_s)
+        body, other = inputs.motion.body, find_other_body(inputs.motion, observation.tdb_s)
         picture, camera = observation.picture, observation.camera
         try:
             return outline.navigate(picture, camera, turn, sigma, sun, body, inputs.relief, other)

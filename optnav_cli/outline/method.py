@@ -1,6 +1,6 @@
-"""Which lit disc of a picture is the body, where another one may be in the picture too.
+"""Choice of the lit disc that is the body when a second body may be in the picture.
 
-Each disc is taken for the body in turn, and the one stands whose position puts the other body
+Each disc is solved as the body in turn. The fix is kept whose position predicts the other body
 where the picture shows it.
 """
 
@@ -41,24 +41,24 @@ def navigate(
     relief: GlobalRelief | None,
     other: OtherBody | None = None,
 ) -> Fix:
-    """The camera's position from the outline; relief of the body where it is known.
+    """Compute the camera's position from the outline; with the body's relief where it is known.
 
     A disc too small for a limb is solved by its brightness centre.
     sun_body (3,) unit vector, body frame;  other  the neighbour that may be in the picture as well.
     Raises NoSolutionError with what the picture shows instead.
     """
     view = CameraView(camera, camera_from_body, attitude_sigma_rad, sun_body)
-    return outline_of(picture, view, body, relief, other)[0]
+    return solve_outline(picture, view, body, relief, other)[0]
 
 
-def outline_of(
+def solve_outline(
     picture: Picture,
     view: CameraView,
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody | None,
 ) -> tuple[Fix, Picture]:
-    """The position, and the picture that gives it: with sky in place of the neighbour if it shows.
+    """Return the position and the picture that gives it, with the neighbour masked if in view.
 
     Raises NoSolutionError as `navigate` does.
     """
@@ -67,14 +67,14 @@ def outline_of(
         alone = solve(picture, view, body, relief, lit)
     except NoSolutionError as error:
         reason = Reason.of(error)
-    if other is not None and (alone is None or _disc(view, body, alone).angle < NEAR_ANGLE):
-        return _one_of_two(picture, view, body, relief, other, lit, alone or reason)
+    if other is not None and (alone is None or _predict_disc(view, body, alone).angle < NEAR_ANGLE):
+        return _choose_body(picture, view, body, relief, other, lit, alone or reason)
     if alone is None:
         raise reason.error()
     return alone, picture
 
 
-def _one_of_two(
+def _choose_body(
     picture: Picture,
     view: CameraView,
     body: Body,
@@ -83,7 +83,7 @@ def _one_of_two(
     lit: Segmented,
     first: Fix | Reason,
 ) -> tuple[Fix, Picture]:
-    """The outline that another body in the picture confirms, or does not contradict.
+    """Choose the outline that another body in the picture confirms or does not contradict.
 
     lit    the picture's lit areas
     first  what the picture gives without asking which body it is, or why it gives nothing
@@ -95,19 +95,19 @@ def _one_of_two(
     except NoSolutionError:
         raise reason.error() from None
     large = np.flatnonzero(blobs.area >= MIN_SPOT_PIXELS)[:MAX_SPOTS]
-    spots = neighbour.spots_of(view.camera, blobs, large)
+    spots = neighbour.make_spots(view.camera, blobs, large)
     if alone is not None:
         # lit peaks beyond the terminator are the body's own
-        own = _disc(view, body, alone)
-        spots = [s for s in spots if s.extent > own.angle or not neighbour.is_within(s, own)]
+        limb = _predict_disc(view, body, alone)
+        spots = [s for s in spots if s.extent > limb.angle or not neighbour.is_within(s, limb)]
     if len(spots) > 1:
-        agreed = _agreed(picture, view, body, relief, other, blobs, spots, levels.sky)
-        if len(agreed) == 1:
-            found, masked = agreed[0]
+        consistent = _solve_consistent(picture, view, body, relief, other, blobs, spots, levels.sky)
+        if len(consistent) == 1:
+            fix, masked = consistent[0]
             text = f"{names[0]} is in the picture too, where this position puts it"
             remark = Reason(ReasonCode.NEIGHBOUR_IN_VIEW, text)
-            return replace(found, reason=found.reason.followed_by(remark)), masked
-        if agreed:
+            return replace(fix, reason=fix.reason.followed_by(remark)), masked
+        if consistent:
             raise NoSolutionError(
                 f"two bodies in the picture: either may be {names[1]}, for each puts {names[0]} "
                 "where the other one is",
@@ -115,8 +115,8 @@ def _one_of_two(
             )
     if alone is None:
         raise reason.error()
-    expected = _other_disc(view, other, alone)
-    seen = neighbour.must_be_seen(view, expected, _disc(view, body, alone))
+    expected = _predict_other_disc(view, other, alone)
+    seen = neighbour.is_expected_in_view(view, expected, _predict_disc(view, body, alone))
     if seen and not neighbour.is_lit(expected, spots):
         x, y = view.camera.project(expected.towards)
         raise NoSolutionError(
@@ -124,8 +124,8 @@ def _one_of_two(
             "is not: another body, or attitude, time or focal length are wrong",
             ReasonCode.OTHER_BODY,
         )
-    place, sigma = alone.position_m, _sigma(alone)
-    if neighbour.is_more_likely_neighbour(view, other, place, sigma, body.radius_m):
+    position_m, sigma_m = alone.position_m, _get_sigma(alone)
+    if neighbour.is_more_likely_neighbour(view, other, position_m, sigma_m, body.radius_m):
         raise NoSolutionError(
             f"the disc is where {names[0]} stands as seen from near {names[1]}, and of its size: "
             f"it is {names[0]}, or cannot be distinguished from it",
@@ -134,7 +134,7 @@ def _one_of_two(
     return alone, picture
 
 
-def _agreed(
+def _solve_consistent(
     picture: Picture,
     view: CameraView,
     body: Body,
@@ -144,49 +144,56 @@ def _agreed(
     spots: list[Spot],
     sky: float,
 ) -> list[tuple[Fix, Picture]]:
-    """The outline of each spot taken for the body that puts the other body where a spot is."""
-    agreed = []
+    """Solve each spot as the body; keep fixes that predict the other body at another spot."""
+    consistent = []
     for spot in spots[:MAX_BODIES]:
-        rest = [one for one in spots if one is not spot]
-        if not _may_be(view, body, other, spot, rest):
+        others = [candidate for candidate in spots if candidate is not spot]
+        if not _is_plausible(view, body, other, spot, others):
             continue
-        values = without_blobs(picture.values, blobs, [one.label for one in rest], sky)
+        values = without_blobs(
+            picture.values, blobs, [candidate.label for candidate in others], sky
+        )
         masked = replace(picture, values=values)
         try:
-            found = solve(masked, view, body, relief)
+            fix = solve(masked, view, body, relief)
         except NoSolutionError:
             continue
-        if np.linalg.norm(found.position_m) > FARTHEST * np.linalg.norm(other.centre_m):
+        if np.linalg.norm(fix.position_m) > FARTHEST * np.linalg.norm(other.centre_m):
             continue
-        seen = _other_disc(view, other, found)
-        if seen.sigma < MAX_SIGMA and any(neighbour.is_seen(seen, one) for one in rest):
-            agreed.append((found, masked))
-    return agreed
+        seen = _predict_other_disc(view, other, fix)
+        if seen.sigma < MAX_SIGMA and any(
+            neighbour.is_seen(seen, candidate) for candidate in others
+        ):
+            consistent.append((fix, masked))
+    return consistent
 
 
-def _may_be(view: CameraView, body: Body, other: OtherBody, spot: Spot, rest: list[Spot]) -> bool:
-    """Whether a spot taken for the body puts the other body about where one of the rest is."""
+def _is_plausible(
+    view: CameraView, body: Body, other: OtherBody, spot: Spot, others: list[Spot]
+) -> bool:
+    """Whether a spot taken for the body puts the other body about where another spot is."""
     if spot.extent > NEAR_ANGLE:
         return True
     towards = view.camera_from_body.inv().apply(spot.towards)
     distance = body.radius_m / np.sin(spot.extent)
     blur = neighbour.SPOT_BLUR_PX * spot.rad_per_px / spot.extent
-    place, sigma_m = -distance * towards, (ROUGH_SHARE + blur) * distance
-    seen = neighbour.predicted(view, other.centre_m, other.radius_m, place, sigma_m)
+    position, sigma_m = -distance * towards, (ROUGH_SHARE + blur) * distance
+    seen = neighbour.predict_disc(view, other.centre_m, other.radius_m, position, sigma_m)
     reach = seen.angle + seen.sigma
     return any(
-        float(seen.towards @ one.towards) > np.cos(min(reach + one.extent, np.pi)) for one in rest
+        float(seen.towards @ candidate.towards) > np.cos(min(reach + candidate.extent, np.pi))
+        for candidate in others
     )
 
 
-def _sigma(found: Fix) -> float:
-    return float(np.sqrt(np.linalg.eigvalsh(found.covariance_m2)[-1]))
+def _get_sigma(fix: Fix) -> float:
+    return float(np.sqrt(np.linalg.eigvalsh(fix.covariance_m2)[-1]))
 
 
-def _disc(view: CameraView, body: Body, found: Fix) -> PredictedDisc:
-    return neighbour.predicted(view, np.zeros(3), body.radius_m, found.position_m, 0.0)
+def _predict_disc(view: CameraView, body: Body, fix: Fix) -> PredictedDisc:
+    return neighbour.predict_disc(view, np.zeros(3), body.radius_m, fix.position_m, 0.0)
 
 
-def _other_disc(view: CameraView, other: OtherBody, found: Fix) -> PredictedDisc:
-    position, sigma = found.position_m, _sigma(found)
-    return neighbour.predicted(view, other.centre_m, other.radius_m, position, sigma)
+def _predict_other_disc(view: CameraView, other: OtherBody, fix: Fix) -> PredictedDisc:
+    position, sigma = fix.position_m, _get_sigma(fix)
+    return neighbour.predict_disc(view, other.centre_m, other.radius_m, position, sigma)

@@ -76,77 +76,77 @@ class Spot(NamedTuple):
     rad_per_px: float
 
 
-def other_body(motion: Ephemeris, tdb_s: float) -> OtherBody | None:
+def find_other_body(motion: Ephemeris, tdb_s: float) -> OtherBody | None:
     """The neighbour that shines like the body itself; None for a body without one."""
     name = _OTHERS.get(motion.body.name)
     if name is None:
         return None
     centre = motion.body_from_inertial(tdb_s) @ motion.position_m(name, tdb_s)
-    return OtherBody(name, np.asarray(centre), _radius_m(name))
+    return OtherBody(name, np.asarray(centre), _load_radius_m(name))
 
 
 @cache
-def _radius_m(name: str) -> float:
+def _load_radius_m(name: str) -> float:
     return load_body(name).radius_m
 
 
-def predicted(
+def predict_disc(
     view: CameraView, centre_m: FloatArray, radius_m: float, position_m: FloatArray, sigma_m: float
 ) -> PredictedDisc:
     """A sphere's disc from a position that is good to sigma_m; all in the body frame."""
-    away = centre_m - position_m
-    distance = float(np.linalg.norm(away))
-    towards = away / distance
+    offset = centre_m - position_m
+    distance = float(np.linalg.norm(offset))
+    towards = offset / distance
     phase = float(np.arccos(np.clip(-(towards @ view.sun_body), -1.0, 1.0)))
     sigma = float(np.hypot(sigma_m / distance, view.attitude_sigma_rad))
     angle = float(np.arcsin(min(radius_m / distance, 1.0)))
     return PredictedDisc(view.camera_from_body.apply(towards), angle, sigma, phase)
 
 
-def must_be_seen(view: CameraView, disc: PredictedDisc, before: PredictedDisc) -> bool:
+def is_expected_in_view(view: CameraView, disc: PredictedDisc, before: PredictedDisc) -> bool:
     """Whether a disc lies whole in the picture, large, lit and clear of another one before it."""
     if disc.phase > MAX_PHASE:
         return False
     apart = angle_between(disc.towards, before.towards)
     if apart < before.angle + disc.angle + SIGMAS * disc.sigma:
         return False
-    per_px = _rad_per_px(view.camera, disc.towards)
+    per_px = _measure_rad_per_px(view.camera, disc.towards)
     reach_px = (disc.angle + SIGMAS * disc.sigma) / per_px
     large = 2.0 * disc.angle / per_px >= MIN_DIAMETER_PX
-    return large and _inside(view.camera, disc.towards, reach_px + MARGIN_PX)
+    return large and _is_inside(view.camera, disc.towards, reach_px + MARGIN_PX)
 
 
-def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
+def make_spots(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
     """The blobs of these numbers as directions."""
-    found = []
+    spots = []
     for number in numbers:
         left, top, wide, high = (int(value) for value in blobs.box[number])
         label = int(blobs.label[number])
         box = blobs.labels[top : top + high, left : left + wide]
-        pixels = _some_pixels(box, label, 1 + int(blobs.area[number]) // MAX_PIXELS)
+        pixels = _sample_pixels(box, label, 1 + int(blobs.area[number]) // MAX_PIXELS)
         rays = camera.unproject(pixels + np.array([left, top]))
         rays = rays[np.isfinite(rays).all(axis=1)]
         if not len(rays):
             continue
         middle = unit(rays.mean(axis=0))
         extent = float(np.linalg.norm(np.cross(rays, middle), axis=1).max())
-        found.append(Spot(label, middle, extent, _rad_per_px(camera, middle)))
-    return found
+        spots.append(Spot(label, middle, extent, _measure_rad_per_px(camera, middle)))
+    return spots
 
 
 @kernel
-def _some_pixels(labels: Int32Array, label: int, step: int) -> FloatArray:
+def _sample_pixels(labels: Int32Array, label: int, step: int) -> FloatArray:
     """Every so many-th pixel x, y (n, 2) of a label, row by row."""
     rows, cols = labels.shape
-    found, count, seen = np.empty((rows * cols // step + 1, 2)), 0, 0
+    pixels, count, seen = np.empty((rows * cols // step + 1, 2)), 0, 0
     for r in range(rows):
         for c in range(cols):
             if labels[r, c] == label:
                 if seen % step == 0:
-                    found[count, 0], found[count, 1] = c, r
+                    pixels[count, 0], pixels[count, 1] = c, r
                     count += 1
                 seen += 1
-    return found[:count]
+    return pixels[:count]
 
 
 def is_seen(disc: PredictedDisc, spot: Spot) -> bool:
@@ -183,14 +183,14 @@ def is_more_likely_neighbour(
     from_there = other.radius_m * distance / body_radius_m
     along = float(other.centre_m @ towards)
     along = float(np.clip(along, from_there * (1.0 - share), from_there * (1.0 + share)))
-    place = other.centre_m - along * towards
-    if float(np.linalg.norm(place)) > NEAR_RADII * body_radius_m:
+    position = other.centre_m - along * towards
+    if float(np.linalg.norm(position)) > NEAR_RADII * body_radius_m:
         return False
-    body = predicted(view, np.zeros(3), body_radius_m, place, 0.0)
-    return body.phase > MAX_PHASE or not _inside(view.camera, body.towards, 0.0)
+    body = predict_disc(view, np.zeros(3), body_radius_m, position, 0.0)
+    return body.phase > MAX_PHASE or not _is_inside(view.camera, body.towards, 0.0)
 
 
-def _inside(camera: Camera, towards: FloatArray, margin_px: float) -> bool:
+def _is_inside(camera: Camera, towards: FloatArray, margin_px: float) -> bool:
     pixel = camera.project(towards[None])
     if not np.isfinite(pixel).all() or not bool(camera.contains(pixel, margin_px)[0]):
         return False
@@ -198,7 +198,7 @@ def _inside(camera: Camera, towards: FloatArray, margin_px: float) -> bool:
     return circle is None or float(camera.radius_px(pixel[0])) < circle - margin_px
 
 
-def _rad_per_px(camera: Camera, towards: FloatArray) -> float:
+def _measure_rad_per_px(camera: Camera, towards: FloatArray) -> float:
     """The wider of a pixel's two sides there; the focal length's where nothing is projected."""
     pixel = camera.project(towards[None])[0]
     if not np.isfinite(pixel).all():

@@ -18,8 +18,8 @@ from optnav_cli.outline.disc.fit import rad_per_px
 from optnav_cli.outline.disc.moments import is_round
 from optnav_cli.outline.limb import method as horizon
 from optnav_cli.outline.limb.detection import LimbPoints, find_limb
-from optnav_cli.outline.limb.shape_skyline import is_shape, relief_fraction
-from optnav_cli.outline.limb.sun_check import rejection_of_sun
+from optnav_cli.outline.limb.shape_skyline import estimate_relief_fraction, is_shape
+from optnav_cli.outline.limb.sun_check import describe_wrong_sun
 from optnav_cli.outline.neighbour import CameraView
 from optnav_cli.outline.silhouette import method as silhouette
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
@@ -51,7 +51,7 @@ def detect_limb(
         camera_from_body.apply(sun_body),
         saturation=picture.saturation,
         stretch=body_from_camera / np.array(body.radii_m)[:, None],
-        relief=relief_fraction(body),
+        relief=estimate_relief_fraction(body),
         lit=lit,
     )
 
@@ -73,24 +73,24 @@ def solve(
         limb = detect_limb(picture, camera, turn, sun, body, lit)
         fix = horizon.navigate(limb, camera, turn, view.attitude_sigma_rad, sun, body, relief)
     except NoSolutionError as no_limb:
-        doubt = _rejection_of_sun(picture, view, body, lit)
+        doubt = _check_sun(picture, view, body, lit)
         if doubt:
             raise NoSolutionError(f"{doubt}; {no_limb}", ReasonCode.WRONG_LIGHT) from None
         if relief is not None and is_shape(relief):
             with suppress(NoSolutionError):
                 return silhouette.navigate(picture, view, body, relief, lit)
-        return _by_centre(Reason.of(no_limb), picture, view, body, relief, lit)
-    small = _by_disc(picture, view, body, relief, limb, lit)
+        return _solve_by_centre(Reason.of(no_limb), picture, view, body, relief, lit)
+    small = _solve_by_disc(picture, view, body, relief, limb, lit)
     if small is not None:
         return small
     # close to the body a wrong Sun shows in the fit of the limb's relief
-    doubt = _rejection_of_sun(picture, view, body, lit) if limb.cone_angle < NEAR_ANGLE else ""
+    doubt = _check_sun(picture, view, body, lit) if limb.cone_angle < NEAR_ANGLE else ""
     if doubt:
         raise NoSolutionError(f"{doubt}: attitude or time is wrong", ReasonCode.WRONG_LIGHT)
     return fix
 
 
-def _by_disc(
+def _solve_by_disc(
     picture: Picture,
     view: CameraView,
     body: Body,
@@ -108,22 +108,22 @@ def _by_disc(
     if relief is None or is_round(body) or radius_px > KNOWN_SHAPE_PX:
         return None
     with suppress(NoSolutionError):
-        return _by_centre(NO_REASON, picture, view, body, relief, lit)
+        return _solve_by_centre(NO_REASON, picture, view, body, relief, lit)
     return None
 
 
-def _rejection_of_sun(picture: Picture, view: CameraView, body: Body, lit: Segmented) -> str:
-    """What the lit part of a disc says against the Sun, in words, if anything."""
+def _check_sun(picture: Picture, view: CameraView, body: Body, lit: Segmented) -> str:
+    """Describe how the lit part of a disc contradicts the Sun; empty when it does not."""
     if not is_round(body):
         return ""
     try:
         limb = find_limb(picture.values, view.camera, None, saturation=picture.saturation, lit=lit)
     except NoSolutionError:
         return ""
-    return rejection_of_sun(limb, view.camera, view.camera_from_body.apply(view.sun_body))
+    return describe_wrong_sun(limb, view.camera, view.camera_from_body.apply(view.sun_body))
 
 
-def _by_centre(
+def _solve_by_centre(
     no_limb: Reason,
     picture: Picture,
     view: CameraView,

@@ -72,11 +72,11 @@ def test_a_whole_frame_over_relief():
 
 def _drawn(relief, position, turned):
     """Counts (2048, 2048) of a body bright up to its skyline, blurred by a pixel's share."""
-    from optnav_cli.outline.limb.relief_skyline import relief_skyline
+    from optnav_cli.outline.limb.relief_skyline import make_relief_skyline
 
     axes = nadir_axes(position)
     table = np.linspace(-np.pi, np.pi, 4001)
-    line = relief_skyline(relief, "moon").limb.skyline(position, axes, table)
+    line = make_relief_skyline(relief, "moon").limb.skyline(position, axes, table)
     rays = turned.inv().apply(CAMERA.unproject(pixel_grid(CAMERA)).reshape(-1, 3)) @ axes.T
     off_nadir = np.arccos(np.clip(-rays[:, 2], -1.0, 1.0))
     edge = np.interp(np.arctan2(rays[:, 1], rays[:, 0]), table, line.off_nadir)

@@ -32,7 +32,7 @@ from optnav_cli.navigate.inputs import open_field
 from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import MATCHERS, FrameWorker, RunInputs
 from optnav_cli.outline import method as outline
-from optnav_cli.outline.neighbour import other_body
+from optnav_cli.outline.neighbour import find_other_body
 from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import overlay_png
 from optnav_cli.output.recording import Recording, recorded_image
@@ -165,7 +165,7 @@ def test_a_fisheye_frame_with_nothing_stated(shared_data, monkeypatch, tmp_path)
     seen = observation_of(frame, camera, picture)
     sigma = worker.given.settings.attitude_sigma_rad(seen.attitude_sigma_rad)
     view = camera, seen.camera_from_body, sigma, seen.sun_body
-    other = other_body(worker.inputs.motion, seen.tdb_s)
+    other = find_other_body(worker.inputs.motion, seen.tdb_s)
 
     def limb():
         relief = worker.inputs.relief

@@ -18,7 +18,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
-from optnav_cli.outline.limb.model import fit_limb, linear_position
+from optnav_cli.outline.limb.model import fit_limb, solve_linear_position
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from tests.studies.tables import StudyReport, StudyTable, columns, rms
@@ -86,7 +86,7 @@ def one_arc(
         for name in FITS:
             try:
                 if name == "linear":
-                    found[name].append(linear_position(rays, radii))
+                    found[name].append(solve_linear_position(rays, radii))
                 else:
                     found[name].append(fit_limb(rays, DELTA_RAD, radii).state)
             except NoSolutionError:

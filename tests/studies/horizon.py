@@ -30,8 +30,8 @@ from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.outline.limb import method as horizon
-from optnav_cli.outline.method import outline_of
-from optnav_cli.outline.neighbour import CameraView, other_body
+from optnav_cli.outline.method import solve_outline
+from optnav_cli.outline.neighbour import CameraView, find_other_body
 from optnav_cli.outline.one_body import detect_limb
 from tests.studies import flights, horizon_flights
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms
@@ -189,8 +189,8 @@ def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[
             try:
                 if row.far and frame.tdb_s is not None:
                     view = CameraView(camera, turned, off, sun)
-                    other = other_body(folder.motion, frame.tdb_s)
-                    _, picture = outline_of(loaded, view, folder.body, relief, other)
+                    other = find_other_body(folder.motion, frame.tdb_s)
+                    _, picture = solve_outline(loaded, view, folder.body, relief, other)
                 begin = time.process_time()
                 limb = detect_limb(picture, camera, turned, sun, folder.body)
             except NoSolutionError as error:

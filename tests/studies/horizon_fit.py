@@ -30,14 +30,14 @@ from optnav_cli.frames.truth import read_truth
 from optnav_cli.outline.limb.detection import LimbPoints
 from optnav_cli.outline.limb.limb_rays import (
     LimbRays,
-    edge_errors,
-    in_sectors,
-    limb_rays_of,
-    rough_errors,
+    compute_edge_errors,
+    compute_rough_errors,
+    group_by_sector,
+    make_limb_rays,
 )
-from optnav_cli.outline.limb.relief_skyline import relief_skyline
-from optnav_cli.outline.limb.sizes import FILE, HorizonSizes, horizon_sizes
-from optnav_cli.outline.limb.skyline import follow, usable_rays, with_limb_errors
+from optnav_cli.outline.limb.relief_skyline import make_relief_skyline
+from optnav_cli.outline.limb.sizes import FILE, HorizonSizes, load_horizon_sizes
+from optnav_cli.outline.limb.skyline import add_limb_errors, fit_repeatedly, select_usable_rays
 from optnav_cli.outline.one_body import detect_limb
 from tests.studies import flights, horizon_flights, likelihood
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
@@ -94,11 +94,11 @@ class TrueLimb:
     def errors(self, sizes: HorizonSizes) -> tuple[FloatArray, FloatArray]:
         """Variances of the points' own errors (n,), rad^2, and shared ones (n, m), 1 sigma, rad."""
         crest = self.cells / self.distance_m
-        own = self.rays.own_sigmas(sizes.light) ** 2 + (sizes.crest.noise_m * crest) ** 2
-        shared = edge_errors(self.rays, self.azimuths, self.sun_sine, sizes.light)
+        own = self.rays.compute_point_sigmas(sizes.light) ** 2 + (sizes.crest.noise_m * crest) ** 2
+        shared = compute_edge_errors(self.rays, self.azimuths, self.sun_sine, sizes.light)
         height = np.full((len(own), 1), sizes.crest.sigma_m * crest)
-        model = in_sectors(self.azimuths) * (sizes.crest.model_sector * self.model_m)
-        rough = rough_errors(self.rays, self.azimuths, sizes.light)
+        model = group_by_sector(self.azimuths) * (sizes.crest.model_sector * self.model_m)
+        rough = compute_rough_errors(self.rays, self.azimuths, sizes.light)
         return own, np.concatenate([shared, height, model / self.distance_m, rough], axis=1)
 
 
@@ -146,7 +146,7 @@ def run(
     if not fit:
         known = ", ".join((*FITTED, horizon_flights.NAME))
         raise NothingToDoError(f"no scenario to fit with is called '{rows}': {known}")
-    old = horizon_sizes()
+    old = load_horizon_sizes()
     new = fitted(fit, old, names)
     if output is not None:
         pairs = numbers(old, names), numbers(new, names)
@@ -169,7 +169,7 @@ def limbs_of(place: Path, name: str, globe: Path) -> list[TrueLimb]:
         picture = load_picture(pictures.picture_path(frame), camera)
         try:
             limb: LimbPoints = detect_limb(picture, camera, turn, sun, pictures.body)
-            rays = limb_rays_of(limb, camera, turn)
+            rays = make_limb_rays(limb, camera, turn)
             found.append(of_limb(name, SeenLimb(rays, truth.position_m, sun, relief)))
         except NoSolutionError:
             continue
@@ -179,22 +179,24 @@ def limbs_of(place: Path, name: str, globe: Path) -> list[TrueLimb]:
 def of_limb(case: str, seen: SeenLimb) -> TrueLimb:
     """A limb beside the skyline from the true position. Raises NoSolutionError."""
     place, relief, distance = seen.position_m, seen.relief, float(np.linalg.norm(seen.position_m))
-    reach, lit, sun_sine = relief_skyline(relief, case).sizes_at(place, seen.rays, seen.sun)
-    usable, kept = usable_rays(seen.rays, place, lit, sun_sine)
+    reach, lit, sun_sine = make_relief_skyline(relief, case).predict_sizes(
+        place, seen.rays, seen.sun
+    )
+    usable, kept = select_usable_rays(seen.rays, place, lit, sun_sine)
     passing = np.linalg.norm(np.cross(place, kept.rays), axis=1)
     crests = np.arcsin(reach[usable] * relief.radius_m / distance)
     limb = TrueLimb(
         case,
         np.arcsin(passing / distance) - crests,
         kept,
-        kept.azimuths(place),
+        kept.compute_azimuths(place),
         sun_sine[usable],
         float(np.sqrt(max(distance**2 - relief.radius_m**2, 1.0))),
-        relief.posting_m / horizon_sizes().crest.posting_m,
+        relief.posting_m / load_horizon_sizes().crest.posting_m,
         relief.error_m or 0.0,
         seen,
     )
-    own, shared = limb.errors(horizon_sizes())
+    own, shared = limb.errors(load_horizon_sizes())
     good = limb.missed**2 < MAX_SIGMAS**2 * (own + (shared**2).sum(axis=1))
     return replace(
         limb,
@@ -226,9 +228,9 @@ def position_nees(limb: TrueLimb, sizes: HorizonSizes) -> float:
     if limb.seen is None:
         return float("nan")
     truth = limb.seen.position_m
-    skyline = relief_skyline(limb.seen.relief, limb.case, sizes)
-    last = follow(skyline, limb.seen.rays, truth, limb.seen.sun)
-    position, covariance = with_limb_errors(skyline, last.fit, sizes.light)
+    skyline = make_relief_skyline(limb.seen.relief, limb.case, sizes)
+    last = fit_repeatedly(skyline, limb.seen.rays, truth, limb.seen.sun)
+    position, covariance = add_limb_errors(skyline, last.fit, sizes.light)
     return squared_distance(position - truth, covariance) / 3.0
 
 

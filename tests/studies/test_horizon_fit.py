@@ -6,8 +6,8 @@ import pytest
 from catalog.config import resource, toml_text
 from catalog.errors import ConfigError, NothingToDoError
 from catalog.progress import SilentProgress
-from optnav_cli.outline.limb.limb_rays import LimbRays, limb_rays_of
-from optnav_cli.outline.limb.sizes import FILE, HorizonSizes, horizon_sizes
+from optnav_cli.outline.limb.limb_rays import LimbRays, make_limb_rays
+from optnav_cli.outline.limb.sizes import FILE, HorizonSizes, load_horizon_sizes
 from tests.optnav_cli.outline.limb.limbs import CAMERA, attitude, grounds, limb_points, place
 from tests.studies import fit, horizon_fit, likelihood
 from tests.studies.horizon_fit import (
@@ -41,8 +41,8 @@ def limb(seed: int, sizes: HorizonSizes, case: str = "a", own_px: float = 0.05) 
 
 
 def test_sizes_that_limbs_were_drawn_by_are_found() -> None:
-    true = scaled(horizon_sizes(), {"light.noise_px": 2.0, "light.sector_px": 2.0})
-    found = numbers(fitted([limb(seed, true) for seed in range(6)], horizon_sizes()))
+    true = scaled(load_horizon_sizes(), {"light.noise_px": 2.0, "light.sector_px": 2.0})
+    found = numbers(fitted([limb(seed, true) for seed in range(6)], load_horizon_sizes()))
     assert found["light.noise_px"] == pytest.approx(0.1, rel=0.2)
     assert found["light.sector_px"] == pytest.approx(0.026, rel=0.5)
 
@@ -50,17 +50,17 @@ def test_sizes_that_limbs_were_drawn_by_are_found() -> None:
 def test_larger_sizes_give_a_fix_of_the_same_limb_less_nees() -> None:
     position = place(2e5, 1)
     turned = attitude(position)
-    rays = limb_rays_of(limb_points(position, turned), CAMERA, turned)
+    rays = make_limb_rays(limb_points(position, turned), CAMERA, turned)
     up = position / np.linalg.norm(position)
     seen = of_limb("moon", SeenLimb(rays, position, up, grounds()[1]))
-    wide = scaled(horizon_sizes(), dict.fromkeys(horizon_fit.NAMES, 4.0))
-    shipped = position_nees(seen, horizon_sizes())
+    wide = scaled(load_horizon_sizes(), dict.fromkeys(horizon_fit.NAMES, 4.0))
+    shipped = position_nees(seen, load_horizon_sizes())
     assert 0.0 < shipped < 4.0
     assert position_nees(seen, wide) < 0.5 * shipped
 
 
 def test_the_report_scores_the_limbs_that_were_held_back() -> None:
-    sizes = horizon_sizes()
+    sizes = load_horizon_sizes()
     result = horizon_fit.HorizonFitResult(
         sizes, sizes, [limb(1, sizes)], [limb(2, sizes, "real"), limb(3, sizes, "real")]
     )
@@ -71,7 +71,7 @@ def test_the_report_scores_the_limbs_that_were_held_back() -> None:
 
 
 def test_new_sizes_are_written_among_the_old_text() -> None:
-    old = numbers(horizon_sizes())
+    old = numbers(load_horizon_sizes())
     text = likelihood.with_numbers(toml_text(resource(FILE)), old, old | {"crest.noise_m": 54.0})
     changed = [
         (before, after)
@@ -85,10 +85,10 @@ def test_new_sizes_are_written_among_the_old_text() -> None:
 
 def test_rough_ground_that_limbs_were_drawn_by_is_found() -> None:
     """Twice the shipped size: edges of 0.12 to 0.4 px, neighbours wrong alike."""
-    true = scaled(horizon_sizes(), {"light.rough_share": 2.0})
+    true = scaled(load_horizon_sizes(), {"light.rough_share": 2.0})
     limbs = [limb(seed, true, own_px=0.12 + 0.04 * seed) for seed in range(8)]
     names = horizon_fit.ROUGH_NAMES
-    found = numbers(fitted(limbs, horizon_sizes(), names), names)
+    found = numbers(fitted(limbs, load_horizon_sizes(), names), names)
     assert list(found) == names
     wanted = numbers(true, names)
     assert found["light.rough_share"] == pytest.approx(wanted["light.rough_share"], rel=0.25)

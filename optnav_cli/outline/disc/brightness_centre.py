@@ -18,9 +18,9 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.segmentation import Segmented
-from optnav_cli.outline.disc.moments import is_round, light_moments, measure_disc
-from optnav_cli.outline.disc.size import disc_sizes, radius_posterior
-from optnav_cli.outline.limb.limb_rays import attitude_covariance
+from optnav_cli.outline.disc.moments import compute_light_moments, is_round, measure_disc
+from optnav_cli.outline.disc.size import estimate_radius, load_disc_sizes
+from optnav_cli.outline.limb.limb_rays import compute_attitude_covariance
 from optnav_cli.outline.neighbour import CameraView
 from optnav_cli.reasons import Reason, ReasonCode, distinct_texts
 
@@ -58,8 +58,8 @@ def navigate(
             ReasonCode.THIN_CRESCENT,
         )
     body_from_camera = camera_from_body.inv().as_matrix()
-    pixel_from_angle, scale, axes = _tangent(camera, towards, sun)
-    sizes = disc_sizes()
+    pixel_from_angle, scale, axes = _differentiate_projection(camera, towards, sun)
+    sizes = load_disc_sizes()
     share = np.cos(0.5 * phase) ** 2
     lit_px = 4.0 * np.sqrt(max(0.5 * (disc.second[0] + disc.second[1]), 0.0))  # if lit evenly
     seen_law = sizes.law * np.sin(0.5 * phase) * (1.0 - SMALL_PX / max(lit_px, SMALL_PX))
@@ -69,9 +69,9 @@ def navigate(
             sizes.ellipsoid if relief is None else sizes.relief / share**sizes.shadow_power
         )
     seen = np.vstack([axes, -towards]) @ body_from_camera.T
-    moments = light_moments(body, relief, seen, sun_body, phase)
+    moments = compute_light_moments(body, relief, seen, sun_body, phase)
     pixel_from_disc = pixel_from_angle / scale
-    size = radius_posterior(disc, pixel_from_disc, moments, shape_sigma, camera.known_blur_px)
+    size = estimate_radius(disc, pixel_from_disc, moments, shape_sigma, camera.known_blur_px)
     weights, radii = size.weights, size.radii_px
     if size.misfit_sigmas > MAX_MISFIT:
         raise NoSolutionError(
@@ -100,11 +100,11 @@ def navigate(
     share = float(np.sqrt(position @ covariance @ position)) / distance**2
     evidence = Evidence(outline=OutlineMarks.of_disc(np.einsum("kn,kni->i", weights, pixels)))
     text = f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %"
-    fix = disc_fix(Method.BRIGHTNESS_CENTRE, view, position, covariance, evidence, text)
+    fix = make_disc_fix(Method.BRIGHTNESS_CENTRE, view, position, covariance, evidence, text)
     return fix, size.width_sigmas
 
 
-def disc_fix(
+def make_disc_fix(
     method: Method,
     view: CameraView,
     position: FloatArray,
@@ -116,16 +116,22 @@ def disc_fix(
 
     The attitude's error, which turns the position about the body, is not in the covariance yet.
     """
-    covariance = covariance + attitude_covariance(position, view.attitude_sigma_rad)
+    covariance = covariance + compute_attitude_covariance(position, view.attitude_sigma_rad)
     turn = view.camera_from_body.inv().as_matrix()
-    place, spread = turn @ position, turn @ covariance @ turn.T
+    position_body, spread = turn @ position, turn @ covariance @ turn.T
     reason = Reason(ReasonCode.SMALL_DISC, text)
     return Fix(
-        method, place, spread, view.camera_from_body, view.attitude_sigma_rad, evidence, reason
+        method,
+        position_body,
+        spread,
+        view.camera_from_body,
+        view.attitude_sigma_rad,
+        evidence,
+        reason,
     )
 
 
-def _tangent(
+def _differentiate_projection(
     camera: Camera, towards: FloatArray, sun: FloatArray
 ) -> tuple[FloatArray, float, FloatArray]:
     """Pixels (2, 2) by angle toward the Sun and across, and the px / rad that keep the area.

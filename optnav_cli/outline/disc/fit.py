@@ -17,10 +17,10 @@ from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.least_squares import Iteration, Linearisation, VectorPrior, solve
 from optnav_cli.frames.segmentation import Levels, measure_levels
-from optnav_cli.outline.disc.size import blur_prior, disc_sizes
-from optnav_cli.outline.limb.cone import Cone, stretched_rays
+from optnav_cli.outline.disc.size import blur_prior, load_disc_sizes
+from optnav_cli.outline.limb.cone import Cone, compute_stretched_rays
 from optnav_cli.outline.limb.edge_fit import EdgeShape, Profiles, locate_edges
-from optnav_cli.outline.limb.photometry import three_laws
+from optnav_cli.outline.limb.photometry import evaluate_three_laws
 from optnav_cli.reasons import Reason, ReasonCode
 
 MAX_BENT_LIMB_PX = 60.0  # beyond it the straight limb's error is below 0.01 px
@@ -42,7 +42,7 @@ _OTHER_LIGHT = Reason(
 ITERATION = Iteration(15, 0.1, _OTHER_LIGHT, _OTHER_LIGHT, each_unknown=True)
 
 
-def edge_bias_px(
+def measure_edge_bias_px(
     profiles: Profiles,
     places: IntArray,
     camera: Camera,
@@ -79,10 +79,10 @@ def draw_disc(
     x = corner[0] + (np.arange(FINE * size[0]) + 0.5) / FINE - 0.5
     y = corner[1] + (np.arange(FINE * size[1]) + 0.5) / FINE - 0.5
     pixels = np.stack(np.meshgrid(x, y), axis=-1)
-    rays = stretched_rays(camera, pixels, cone.stretch)
-    depth = cone.depth(rays)
+    rays = compute_stretched_rays(camera, pixels, cone.stretch)
+    depth = cone.measure_depth(rays)
     beside = np.array([[x.mean(), y.mean()], [x.mean() + 1.0, y.mean()]])
-    turn = stretched_rays(camera, beside, cone.stretch)
+    turn = compute_stretched_rays(camera, beside, cone.stretch)
     rad_per_fine = float(np.linalg.norm(turn[1] - turn[0])) / FINE
     covered = np.clip(0.5 + depth / rad_per_fine, 0.0, 1.0)
     near = covered > 0.0
@@ -98,14 +98,14 @@ def draw_disc(
     seen = unit(np.linalg.solve(cone.stretch, rays.T).T)
     mu0, mu, cos_phase = normal @ sun_camera, -(normal * seen).sum(axis=1), -(seen @ sun_camera)
     second, third = shape.mixture
-    laws = three_laws(mu0, mu, cos_phase, -float(cone.axis_camera() @ sun_camera))
+    laws = evaluate_three_laws(mu0, mu, cos_phase, -float(cone.axis_camera() @ sun_camera))
     mixed = (1.0 - second - third) * laws[0] + second * laws[1] + third * laws[2]
     fine = np.zeros(covered.shape)
     fine[near] = np.where(mu0 > 0.0, mixed, 0.0) * covered[near]
     blur = np.sqrt(max(shape.blur_px**2 - PIXEL_VARIANCE, 0.05)) * FINE
     blurred = cv2.GaussianBlur(fine, (0, 0), blur)
-    whole = cv2.resize(blurred, (int(size[0]), int(size[1])), interpolation=cv2.INTER_AREA)
-    return np.asarray(whole, dtype=np.float64)
+    averaged = cv2.resize(blurred, (int(size[0]), int(size[1])), interpolation=cv2.INTER_AREA)
+    return np.asarray(averaged, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +145,7 @@ class DiscModel:
         self._corner, self._size = corner, np.array(use.shape[::-1])
         self._use, self._seen, self._noise = use, counts[use], noise
 
-    def _drawn(self, state: FloatArray) -> FloatArray:
+    def _draw(self, state: FloatArray) -> FloatArray:
         ray = self._camera.unproject(state[:2])
         cone = Cone(np.eye(3), ray, float(state[2]) * self._rad_per_px)
         blur, *mixture = (float(value) for value in state[3:])
@@ -156,12 +156,12 @@ class DiscModel:
         """The pixels at a state (6,). Raises NoSolutionError where there is no disc to draw."""
         if not (np.isfinite(state).all() and state[2] > 1.0):
             raise _OTHER_LIGHT.error()
-        model = self._drawn(state)
+        model = self._draw(state)
         brightness = float(model @ self._seen) / max(float(model @ model), 1e-30)
         light = np.maximum(brightness * model, 0.0)
         bright = float(np.median(light[light > 0.3 * light.max()])) if light.max() > 0.0 else 1.0
         sigma = np.sqrt(self._noise**2 + SHOT * bright * light + (TEXTURE * light) ** 2)
-        columns = [brightness * (self._drawn(state + s) - model) / s.sum() for s in np.diag(STEPS)]
+        columns = [brightness * (self._draw(state + s) - model) / s.sum() for s in np.diag(STEPS)]
         jacobian = np.stack(columns, axis=1) / sigma[:, None]
         residuals = (self._seen - brightness * model) / sigma
         # what brightness and level explain is taken out of residuals and Jacobian: the normal
@@ -208,7 +208,7 @@ def fit_disc(
     misfit = float(np.sqrt(np.mean(fit.measured.residuals**2)))
     spread = max(misfit, 1.0) ** 2 * fit.covariance[:3, :3]
     if camera.known_blur_px is None:
-        sizes = disc_sizes()
+        sizes = load_disc_sizes()
         moved = fit.state[3] * np.array([sizes.blur_centre, sizes.blur_centre, sizes.blur_shape])
         spread += np.diag(moved**2)
     return DiscFit(fit.state[:2], float(fit.state[2]), spread, misfit)

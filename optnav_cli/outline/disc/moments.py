@@ -70,7 +70,7 @@ class LightMoments:
     second: FloatArray
 
 
-def sphere_moments(phase: float) -> list[LightMoments]:
+def compute_sphere_moments(phase: float) -> list[LightMoments]:
     """Moments of an illuminated sphere for each of LAWS, at a phase angle, rad."""
     # nodes on the lit half: x and y of the disc, brightness is even in y
     u = (np.arange(2 * SPHERE_NODES) + 0.5) / SPHERE_NODES - 1.0
@@ -80,14 +80,14 @@ def sphere_moments(phase: float) -> list[LightMoments]:
     x, y = x[inside], y[inside]
     mu = np.sqrt(1.0 - x**2 - y**2)
     mu0 = x * np.sin(phase) + mu * np.cos(phase)
-    found = []
+    moments = []
     for law in LAWS:
         light = law(mu0, mu, np.cos(phase))
         light = light / light.sum()
         offset = float(light @ x)
         second = np.diag([float(light @ x**2) - offset**2, float(light @ y**2)])
-        found.append(LightMoments(np.array([offset, 0.0]), second))
-    return found
+        moments.append(LightMoments(np.array([offset, 0.0]), second))
+    return moments
 
 
 def measure_disc(areas: Segmented, saturation: float | None) -> DiscMoments:
@@ -102,7 +102,7 @@ def measure_disc(areas: Segmented, saturation: float | None) -> DiscMoments:
     if len(kept) == 0:
         text = f"no disc: nothing lit is larger than {MIN_PIXELS - 1} pixels; hot pixels or noise"
         raise NoSolutionError(text, ReasonCode.NO_BODY)
-    light = [_light(picture, blobs, number, levels.sky) for number in kept]
+    light = [_sum_light(picture, blobs, number, levels.sky) for number in kept]
     first = int(np.argmax(light))
     rival = float(np.sort(light)[-2]) if len(light) > 1 else 0.0
     if rival > RIVAL_SHARE * light[first]:
@@ -130,8 +130,8 @@ def measure_disc(areas: Segmented, saturation: float | None) -> DiscMoments:
     part = np.s_[int(cy - reach) : int(cy + reach) + 2, int(cx - reach) : int(cx + reach) + 2]
     window, labels = picture[part].astype(np.float64), blobs.labels[part]
     y, x = np.mgrid[part]
-    own = (labels == 0) | (labels == blobs.label[chosen])
-    use = own & (np.hypot(x - cx, y - cy) <= reach)
+    disc_or_sky = (labels == 0) | (labels == blobs.label[chosen])
+    use = disc_or_sky & (np.hypot(x - cx, y - cy) <= reach)
     if not np.isfinite(window[use]).all():
         raise NoSolutionError(
             "pixels without a value cut the disc: its middle of light is not the body's",
@@ -148,19 +148,19 @@ def measure_disc(areas: Segmented, saturation: float | None) -> DiscMoments:
                 "middle of light; expose shorter",
                 ReasonCode.SATURATED,
             )
-    sky, noise, sky_sigma = _background(picture, blobs.labels, (cx, cy), reach)
-    return _moments(window[use] - sky, x[use], y[use], noise, sky_sigma)
+    sky, noise, sky_sigma = _measure_background(picture, blobs.labels, (cx, cy), reach)
+    return _compute_moments(window[use] - sky, x[use], y[use], noise, sky_sigma)
 
 
-def _light(picture: Float32Array, blobs: Blobs, number: int, sky: float) -> float:
+def _sum_light(picture: Float32Array, blobs: Blobs, number: int, sky: float) -> float:
     """Sum of a lit area's counts over the sky."""
     left, top, wide, high = blobs.box[number]
     part = np.s_[top : top + high, left : left + wide]
-    own = (blobs.labels[part] == blobs.label[number]).view(np.uint8)
-    return (cv2.mean(picture[part], own)[0] - sky) * float(blobs.area[number])
+    mask = (blobs.labels[part] == blobs.label[number]).view(np.uint8)
+    return (cv2.mean(picture[part], mask)[0] - sky) * float(blobs.area[number])
 
 
-def _background(
+def _measure_background(
     picture: Float32Array, labels: Int32Array, middle: tuple[float, float], reach: float
 ) -> tuple[float, float, float]:
     """Level and scatter of the sky about a disc, beyond the blur's reach; error of the level."""
@@ -186,7 +186,7 @@ def _background(
     return float(calm.mean()), float(np.sqrt(max(scatter**2, ROUNDING_VARIANCE))), error
 
 
-def _moments(
+def _compute_moments(
     light: FloatArray, x: IntArray, y: IntArray, noise: float, sky_sigma: float
 ) -> DiscMoments:
     """Moments of pixels (n,) above the sky, with the errors of noise and of the sky's level."""
@@ -197,18 +197,20 @@ def _moments(
         )
     places = np.stack([x, y], axis=1).astype(np.float64)
     centre = light @ places / total
-    away = places - centre
-    products = np.stack([away[:, 0] ** 2, away[:, 1] ** 2, away[:, 0] * away[:, 1]], axis=1)
+    deviations = places - centre
+    products = np.stack(
+        [deviations[:, 0] ** 2, deviations[:, 1] ** 2, deviations[:, 0] * deviations[:, 1]], axis=1
+    )
     lit = float(light[light > LIT_SHARE * light.max()].mean())
     variance = noise**2 + np.maximum(light, 0.0) * lit / ASSUMED_SNR**2
-    spread = (variance[:, None] * away).T @ away / total**2
+    spread = (variance[:, None] * deviations).T @ deviations / total**2
     # what a count more in one pixel changes the second moments by
     second = light @ products / total
     change = (products - second) / total
     covariance = (variance[:, None] * change).T @ change
     lifted = sky_sigma * change.sum(axis=0)
     covariance += np.outer(lifted, lifted)
-    moved = sky_sigma * away.sum(axis=0) / total
+    moved = sky_sigma * deviations.sum(axis=0) / total
     spread = spread + np.outer(moved, moved)
     return DiscMoments(centre, spread, second, covariance)
 
@@ -226,7 +228,7 @@ def is_round(body: Body) -> bool:
     return bool(np.ptp(radii) < ROUND * radii.mean())
 
 
-def light_moments(
+def compute_light_moments(
     body: Body,
     relief: GlobalRelief | None,
     axes_body: FloatArray,
@@ -239,8 +241,8 @@ def light_moments(
     sun_body   (3,) unit vector;  phase  rad, between Sun and camera
     """
     if is_round(body):
-        return sphere_moments(phase)
-    middles, across = _ground(body, relief)
+        return compute_sphere_moments(phase)
+    middles, across = _sample_ground(body, relief)
     areas = np.linalg.norm(across, axis=1)
     normals = across / areas[:, None]
     mu, mu0 = normals @ axes_body[2], normals @ sun_body
@@ -252,14 +254,14 @@ def light_moments(
             towards = np.ascontiguousarray(direction, dtype=np.float64)
             _shade(relief.heights, relief.radius_m, highest, places, towards, lit)
     places = middles[lit] @ axes_body[:2].T
-    found = []
+    moments = []
     for law in LAWS:
         light = law(mu0[lit], mu[lit], np.cos(phase)) * mu[lit] * areas[lit]
         light /= light.sum()
         offset = light @ places
-        away = places - offset
-        found.append(LightMoments(offset, (light[:, None] * away).T @ away))
-    return found
+        deviations = places - offset
+        moments.append(LightMoments(offset, (light[:, None] * deviations).T @ deviations))
+    return moments
 
 
 @kernel
@@ -293,7 +295,7 @@ def _shade(
             along += max(0.5 * above, MIN_STEP * radius)
 
 
-def _ground(body: Body, relief: GlobalRelief | None) -> tuple[FloatArray, FloatArray]:
+def _sample_ground(body: Body, relief: GlobalRelief | None) -> tuple[FloatArray, FloatArray]:
     """Middles (n, 3) of the body's ground in mean half axes, and its areas as outward vectors."""
     lat = np.linspace(0.5 * np.pi, -0.5 * np.pi, STEPS + 1)[:, None]
     lon = np.linspace(-np.pi, np.pi, 2 * STEPS + 1)[None, :]

@@ -39,20 +39,20 @@ class DiscErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @cache
-def disc_sizes() -> DiscErrorSizes:
+def load_disc_sizes() -> DiscErrorSizes:
     """The sizes that ship with optnav. Raises ConfigError for a wrong file."""
     return load_toml(resource(FILE), DiscErrorSizes)
 
 
 def blur_prior(known_blur_px: tuple[float, float] | None) -> tuple[float, float]:
     """Blur with the pixel's own width and its 1-sigma error, px, also where it is not known."""
-    sizes = disc_sizes()
+    sizes = load_disc_sizes()
     return known_blur_px or (sizes.blur_px, sizes.blur_sigma_px)
 
 
 @dataclass(frozen=True, eq=False)
 class DiscSize:
-    """What a disc's radius may be.
+    """Posterior distribution of a disc's radius.
 
     radii_px      (n,)
     weights       (laws, n) how likely each is under each law; their sum is 1
@@ -66,7 +66,7 @@ class DiscSize:
     misfit_sigmas: float
 
 
-def radius_posterior(
+def estimate_radius(
     disc: DiscMoments,
     pixel_from_disc: FloatArray,
     moments: list[LightMoments],
@@ -109,7 +109,7 @@ def radius_posterior(
             total = np.einsum("rbi,rij,rbj->rb", miss, inverse, miss) + blur_misfit
             squares[k] = total.min(axis=1)
             each = -0.5 * (total + np.log(np.linalg.det(covariance))[:, None])
-            logs[k] = np.logaddexp.reduce(each, axis=1) + np.log(disc_sizes().law_prior[k])
+            logs[k] = np.logaddexp.reduce(each, axis=1) + np.log(load_disc_sizes().law_prior[k])
         return logs, squares
 
     radii = np.geomspace(MIN_DISC_RADIUS_PX, MAX_DISC_RADIUS_PX, RADII)

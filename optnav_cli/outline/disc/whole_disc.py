@@ -13,10 +13,10 @@ from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.frames.picture import Picture
-from optnav_cli.outline.disc.brightness_centre import disc_fix
+from optnav_cli.outline.disc.brightness_centre import make_disc_fix
 from optnav_cli.outline.disc.fit import ABOUT_PX, fit_disc, rad_per_px
 from optnav_cli.outline.disc.moments import MAX_SMALL_DISC_PX
-from optnav_cli.outline.disc.size import disc_sizes
+from optnav_cli.outline.disc.size import load_disc_sizes
 from optnav_cli.outline.limb.detection import LimbPoints
 from optnav_cli.outline.neighbour import CameraView
 from optnav_cli.reasons import ReasonCode
@@ -68,11 +68,11 @@ def navigate(picture: Picture, view: CameraView, body: Body, limb: LimbPoints) -
     lit = 0.5 * (1.0 + float(position @ sun) / float(np.linalg.norm(position)))
     # the figure moves the fitted centre and radius; shadows on its ground do more as the lit share
     # shrinks
-    sizes = disc_sizes()
+    sizes = load_disc_sizes()
     shape_px = sizes.figure * fit.radius_px / max(lit, 0.1)
     spread = fit.covariance + (shape_px**2 + sizes.drawing_px**2) * np.eye(3)
     covariance = change @ spread @ change.T
     marks = OutlineMarks(limb.pixels, limb.inward, np.zeros(len(limb)))
     evidence = Evidence(n_limb=len(limb), arc_deg=limb.arc_deg, outline=marks)
     text = f"disc of {2.0 * fit.radius_px:.1f} px fitted whole"
-    return disc_fix(Method.HORIZON_SPHERE, view, position, covariance, evidence, text)
+    return make_disc_fix(Method.HORIZON_SPHERE, view, position, covariance, evidence, text)

@@ -12,7 +12,7 @@ from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.segmentation import Blobs, Levels
-from optnav_cli.outline.limb.cone import Cone, PixelRays, agreeing, distances
+from optnav_cli.outline.limb.cone import Cone, PixelRays, find_agreeing, measure_distances
 
 RUN_PX = 3  # dark pixels before a rise and bright ones after it
 MAX_CANDIDATES = 200_000  # a picture full of texture has no limb worth finding in it
@@ -36,12 +36,12 @@ class Candidates:
         return len(self.pixels)
 
     def subset(self, kept: BoolArray | IntArray) -> "Candidates":
-        """Those that a mask or an index array keeps."""
+        """Select by a mask or an index array."""
         return Candidates(self.pixels[kept], self.scan[kept], self.gradient[kept])
 
 
 @kernel
-def _rises(
+def _find_rises(
     picture: Float32Array,
     threshold: float,
     least_rise: float,
@@ -49,7 +49,7 @@ def _rises(
     places: FloatArray,
     directions: IntArray,
 ) -> int:
-    """Rises along rows (row_step 0) or columns (1), both ways; returns their number."""
+    """Find rises along rows (row_step 0) or columns (1), both ways; return their number."""
     height, width = picture.shape
     dy, dx = row_step, 1 - row_step
     forward = 2 * row_step
@@ -98,7 +98,7 @@ def _rises(
 
 
 @kernel
-def _gradients(picture: Float32Array, places: FloatArray, gradients: FloatArray) -> None:
+def _compute_gradients(picture: Float32Array, places: FloatArray, gradients: FloatArray) -> None:
     """Brightness gradient by differences three pixels apart, averaged over five lines."""
     height, width = picture.shape
     for i in range(places.shape[0]):
@@ -119,14 +119,14 @@ def scan_edges(picture: Float32Array, threshold: float, least_rise: float) -> Ca
     None reaches over pixels without a value, which are NaN.
     """
     picture = np.ascontiguousarray(picture, dtype=np.float32)
-    found = []
+    scans = []
     for row_step in (0, 1):
         room, ways = np.empty((MAX_CANDIDATES, 2)), np.empty(MAX_CANDIDATES, dtype=np.int64)
-        count = _rises(picture, threshold, least_rise, row_step, room, ways)
-        found.append((room[:count], ways[:count]))
-    pixels, directions = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        count = _find_rises(picture, threshold, least_rise, row_step, room, ways)
+        scans.append((room[:count], ways[:count]))
+    pixels, directions = (np.concatenate(parts) for parts in zip(*scans, strict=True))
     gradient = np.empty_like(pixels)
-    _gradients(picture, pixels, gradient)
+    _compute_gradients(picture, pixels, gradient)
     rises = Candidates(pixels, np.array(_STEPS, dtype=np.float64)[directions], gradient)
     # no gradient beside pixels without a value
     known = np.isfinite(gradient).all(axis=1)
@@ -150,18 +150,20 @@ def find_candidates(
 ) -> Candidates:
     """Rises at the rim of lit areas that are larger than stars, inside the lens's picture."""
     rise = max(RISE_SIGMAS * levels.noise, RISE_SHARE * (levels.bright - levels.sky))
-    found = scan_edges(picture, levels.threshold, rise)
-    lit = np.rint(found.pixels + 1.5 * found.scan).astype(np.int64)
+    edges = scan_edges(picture, levels.threshold, rise)
+    lit = np.rint(edges.pixels + 1.5 * edges.scan).astype(np.int64)
     label = blobs.labels[lit[:, 1], lit[:, 0]]
     large = np.zeros(int(blobs.labels.max()) + 1, dtype=bool)
     large[blobs.label[blobs.area >= MIN_BLOB_PIXELS]] = True
-    kept = large[label] & camera.contains(found.pixels, BORDER_PX)
+    kept = large[label] & camera.contains(edges.pixels, BORDER_PX)
     if camera.image_circle_radius_px is not None:
-        kept &= camera.radius_px(found.pixels) < camera.image_circle_radius_px - BORDER_PX
-    return found.subset(kept)
+        kept &= camera.radius_px(edges.pixels) < camera.image_circle_radius_px - BORDER_PX
+    return edges.subset(kept)
 
 
-def outward_normals(where: PixelRays, gradient: FloatArray, stretch: FloatArray) -> FloatArray:
+def compute_outward_normals(
+    where: PixelRays, gradient: FloatArray, stretch: FloatArray
+) -> FloatArray:
     """Surface normals (n, 3), camera frame, if rises with these gradients (n, 2) are limbs.
 
     At a limb the ray touches the surface, so the normal is square to the ray and, in the picture,
@@ -184,33 +186,33 @@ def outward_normals(where: PixelRays, gradient: FloatArray, stretch: FloatArray)
 def is_sunlit(
     where: PixelRays, gradient: FloatArray, stretch: FloatArray, sun_camera: FloatArray
 ) -> BoolArray:
-    """Which rises (n,) the Sun can light as limbs; a terminator's rise faces away from it."""
-    cosine = outward_normals(where, gradient, stretch) @ sun_camera
+    """Whether the Sun can light each rise (n,) as a limb; terminators face away from it."""
+    cosine = compute_outward_normals(where, gradient, stretch) @ sun_camera
     towards = np.linalg.solve(stretch, where.rays.T).T @ sun_camera
     sine = np.sqrt(np.maximum(1.0 - (towards * np.linalg.norm(stretch, 2)) ** 2, 0.0))
     return cosine > MIN_SUN_COSINE + CUSP_SHARE * sine
 
 
-def sharpness(picture: Float32Array, candidates: Candidates) -> FloatArray:
-    """What rises (n,) have gained after three pixels, over what they have after ten.
+def measure_sharpness(picture: Float32Array, candidates: Candidates) -> FloatArray:
+    """Measure the share of a rise (n,) that is reached after three pixels of ten.
 
     About 1 at a limb, a third at a terminator, whose brightness grows evenly.
     """
-    near = _at(picture, candidates.pixels + 3.0 * candidates.scan)
-    far = _at(picture, candidates.pixels + 10.0 * candidates.scan)
-    before = _at(picture, candidates.pixels - 3.0 * candidates.scan)
+    near = _sample(picture, candidates.pixels + 3.0 * candidates.scan)
+    far = _sample(picture, candidates.pixels + 10.0 * candidates.scan)
+    before = _sample(picture, candidates.pixels - 3.0 * candidates.scan)
     return (near - before) / np.maximum(far - before, 1e-3)
 
 
-def on_limb(
+def select_limb_candidates(
     candidates: Candidates, where: PixelRays, cone: Cone, relief: float
 ) -> tuple[Candidates, PixelRays]:
     """Candidates on a cone's curve: rising inward, scanned within 45 deg of it.
 
     Of several on one row or column the outermost is the limb: ridges and shadows lie behind it.
     """
-    near = agreeing(cone, where, candidates.gradient, relief)
-    distance, inward = distances(cone, where)
+    near = find_agreeing(cone, where, candidates.gradient, relief)
+    distance, inward = measure_distances(cone, where)
     # a point on a diagonal is found by its row and by its column: the nearer direction keeps it
     near &= (candidates.scan * inward).sum(axis=1) > SECTOR_COSINE
     index = np.flatnonzero(near)
@@ -221,35 +223,35 @@ def on_limb(
     first = np.ones(len(order), dtype=bool)
     first[1:] = (np.diff(line[order]) != 0.0) | (np.diff(way[order]) != 0.0)
     # a line may cross the curve twice in one direction only far apart, on a lens that bends it
-    place = candidates.pixels[index[order]]
-    first[1:] |= np.linalg.norm(np.diff(place, axis=0), axis=1) > 30.0
+    crossings = candidates.pixels[index[order]]
+    first[1:] |= np.linalg.norm(np.diff(crossings, axis=0), axis=1) > 30.0
     kept = np.sort(index[order[first]])
     chosen = candidates.subset(kept)
     return chosen, where.subset(kept)
 
 
-def bounded_by_sky(
+def is_bounded_by_sky(
     picture: Float32Array,
     camera: Camera,
     pixels: FloatArray,
     gradient: FloatArray,
     threshold: float,
 ) -> BoolArray:
-    """Which rises (n,) at pixels (n, 2) have mostly sky on their dark side, and no lit ground.
+    """Whether each rise (n,) at pixels (n, 2) has mostly sky and no lit ground on its dark side.
 
-    Of what lies outside the picture, or has no value, nothing is known.
+    Outside the picture and where there is no value nothing is known, which counts as sky.
     """
     inward = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
     dark = np.zeros(len(pixels))
     for step in SKY_STEPS_PX:
         places = pixels - step * inward
-        dark += ~(_at(picture, places) >= threshold) | ~camera.contains(places)
+        dark += ~(_sample(picture, places) >= threshold) | ~camera.contains(places)
     return dark >= len(SKY_STEPS_PX) - 1
 
 
-def _at(picture: Float32Array, pixels: FloatArray) -> FloatArray:
+def _sample(picture: Float32Array, pixels: FloatArray) -> FloatArray:
     """Values at the nearest pixels (n, 2), those outside taken from the picture's edge."""
     height, width = picture.shape
-    whole = np.nan_to_num(np.rint(pixels)).astype(np.int64)
-    x, y = np.clip(whole[:, 0], 0, width - 1), np.clip(whole[:, 1], 0, height - 1)
+    rounded = np.nan_to_num(np.rint(pixels)).astype(np.int64)
+    x, y = np.clip(rounded[:, 0], 0, width - 1), np.clip(rounded[:, 1], 0, height - 1)
     return picture[y, x].astype(np.float64)

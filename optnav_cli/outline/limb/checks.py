@@ -8,7 +8,7 @@ from catalog.geometry.vectors import perpendicular_basis, unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.segmentation import Blobs, Levels
 from optnav_cli.outline.limb.candidates import BORDER_PX, MIN_BLOB_PIXELS, Candidates
-from optnav_cli.outline.limb.cone import Cone, PixelRays, find_cone, stretched_rays
+from optnav_cli.outline.limb.cone import Cone, PixelRays, compute_stretched_rays, find_cone
 from optnav_cli.reasons import ReasonCode, distinct_texts
 
 MIN_BODY_PIXELS = 100  # lit; less is a disc for the brightness centre
@@ -53,17 +53,17 @@ def check_blobs(picture: Float32Array, blobs: Blobs, levels: Levels, saturation:
         )
 
 
-def azimuths(cone: Cone, rays: FloatArray) -> FloatArray:
-    """Azimuth (n,) of unit rays about a cone's axis, rad."""
+def compute_azimuths(cone: Cone, rays: FloatArray) -> FloatArray:
+    """Compute azimuths (n,) of unit rays about a cone's axis, rad."""
     u, v = perpendicular_basis(cone.axis)
     return np.arctan2(rays @ v, rays @ u)
 
 
-def arc_deg(cone: Cone, rays: FloatArray, step_px: float, rad_per_px: float) -> float:
-    """Azimuth that rays (n, 3) on a cone cover, degrees; gaps up to step_px or 4 deg count."""
+def measure_arc_deg(cone: Cone, rays: FloatArray, step_px: float, rad_per_px: float) -> float:
+    """Measure the azimuth that rays (n, 3) on a cone cover, deg; gaps to step_px or 4 deg count."""
     if len(rays) < 2:
         return 0.0
-    ordered = np.sort(azimuths(cone, rays))
+    ordered = np.sort(compute_azimuths(cone, rays))
     gaps = np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
     bridge = max(np.radians(4.0), step_px * rad_per_px / np.sin(cone.angle))
     return float(np.degrees(gaps[gaps <= bridge].sum()))
@@ -121,8 +121,8 @@ def check_hidden(
         expected &= camera.contains(pixels, 4.0 * BORDER_PX)
     at = np.rint(pixels[expected]).astype(np.int64)
     expected[expected] = np.isfinite(picture[at[:, 1], at[:, 0]])
-    found = azimuths(cone, rays) % (2.0 * np.pi)
-    cell = np.rint(found / (2.0 * np.pi / AZIMUTHS)).astype(np.int64)
+    azimuth = compute_azimuths(cone, rays) % (2.0 * np.pi)
+    cell = np.rint(azimuth / (2.0 * np.pi / AZIMUTHS)).astype(np.int64)
     seen = np.zeros(AZIMUTHS, dtype=bool)
     # a small disc has fewer points than cells: each stands for its neighbours too
     reach = max(1, int(np.ceil(0.75 * AZIMUTHS / max(len(rays), 1))))
@@ -159,7 +159,7 @@ def check_others(
     rows, cols = np.mgrid[0 : picture.shape[0] : GRID_PX, 0 : picture.shape[1] : GRID_PX]
     lit = picture[::GRID_PX, ::GRID_PX] > levels.threshold
     pixels = np.stack([cols[lit], rows[lit]], axis=1).astype(np.float64)
-    depth = cone.depth(stretched_rays(camera, pixels, cone.stretch))
+    depth = cone.measure_depth(compute_stretched_rays(camera, pixels, cone.stretch))
     n_out = int((depth < -(0.002 + relief) * np.tan(cone.angle)).sum())
     n_in = max(int((depth > 0.0).sum()), 1)
     if n_out > MAX_OUTSIDE_SHARE * n_in:
@@ -177,7 +177,9 @@ def count_beyond(cone: Cone, where: PixelRays, relief: float) -> int:
 
 def _is_beyond(cone: Cone, where: PixelRays, relief: float) -> BoolArray:
     pixel = np.linalg.norm(where.by_x, axis=1)
-    beyond: BoolArray = cone.depth(where.rays) < -(10.0 * pixel + relief * np.tan(cone.angle))
+    beyond: BoolArray = cone.measure_depth(where.rays) < -(
+        10.0 * pixel + relief * np.tan(cone.angle)
+    )
     return beyond
 
 
@@ -193,8 +195,8 @@ def _check_second(
     apart = float(np.arccos(np.clip(cone.axis @ other.axis, -1.0, 1.0)))
     if relief > LUMPY and apart < cone.angle + other.angle:
         return
-    arc = arc_deg(other, where.rays[agrees], 3.0, float(np.linalg.norm(where.by_x[0])))
-    inside = other.depth(where.rays) > -3.0 * np.linalg.norm(where.by_x, axis=1)
+    arc = measure_arc_deg(other, where.rays[agrees], 3.0, float(np.linalg.norm(where.by_x[0])))
+    inside = other.measure_depth(where.rays) > -3.0 * np.linalg.norm(where.by_x, axis=1)
     if arc > 90.0 and agrees.sum() > SECOND_BODY_SHARE * inside.sum():
         x, y = camera.project(other.axis_camera())
         raise NoSolutionError(

@@ -15,8 +15,8 @@ from optnav_cli.frames.segmentation import Levels
 from optnav_cli.outline.limb.edge_fit import (
     EdgeShape,
     Profiles,
-    common_shape,
-    edge_residuals,
+    compute_edge_residuals,
+    fit_common_shape,
     locate_edges,
 )
 
@@ -56,10 +56,10 @@ def fit_edges(profiles: Profiles, levels: Levels, saturation: float) -> Edges:
     if as_stated[1] < MIN_PATTERN or levels.peak <= 0.0:
         return as_stated[0]
     # most patterns are the ground's: two exponents tell these from a coding's
-    tried = [_fit(*_decoded(profiles, levels, saturation, e), e) for e in EXPONENTS[1:4:2]]
+    tried = [_fit(*_decode(profiles, levels, saturation, e), e) for e in EXPONENTS[1:4:2]]
     if min(pattern for _, pattern in tried) > as_stated[1]:
         return as_stated[0]
-    tried = [_fit(*_decoded(profiles, levels, saturation, e), e) for e in EXPONENTS]
+    tried = [_fit(*_decode(profiles, levels, saturation, e), e) for e in EXPONENTS]
     best = int(np.argmin([pattern for _, pattern in tried]))
     edges, pattern = tried[best]
     if pattern > MAX_PATTERN_LEFT or pattern > 0.5 * as_stated[1]:
@@ -74,14 +74,14 @@ def _fit(
     profiles: Profiles, levels: Levels, saturation: float, exponent: float
 ) -> tuple[Edges, float]:
     """Edges of profiles, and the size of the pattern that their model leaves."""
-    shape = common_shape(profiles, levels, saturation)
+    shape = fit_common_shape(profiles, levels, saturation)
     depth, sigma = locate_edges(profiles, shape, levels, saturation)
-    inside, residuals = edge_residuals(profiles, shape, levels, saturation)
+    inside, residuals = compute_edge_residuals(profiles, shape, levels, saturation)
     edges = Edges(depth, sigma, shape, levels, exponent)
-    return edges, _pattern(inside, residuals)
+    return edges, _measure_pattern(inside, residuals)
 
 
-def _pattern(inside_px: FloatArray, residuals: FloatArray) -> float:
+def _measure_pattern(inside_px: FloatArray, residuals: FloatArray) -> float:
     """Mean square of residuals (n,) in bins of the distance inside the edge, over its variance."""
     bins = np.floor(inside_px / BIN_PX).astype(np.int64)
     bins -= bins.min(initial=0)
@@ -93,13 +93,13 @@ def _pattern(inside_px: FloatArray, residuals: FloatArray) -> float:
     return float(np.mean(number[full] * mean**2))
 
 
-def _decoded(
+def _decode(
     profiles: Profiles, levels: Levels, saturation: float, exponent: float
 ) -> tuple[Profiles, Levels, float]:
     """Profiles, levels and full scale in light, of which the peak has as much as in counts."""
     peak = levels.peak
 
-    def light(counts: FloatArray | float) -> FloatArray:
+    def decode_counts(counts: FloatArray | float) -> FloatArray:
         share = np.asarray(counts, np.float64) / peak
         decoded: FloatArray = peak * np.sign(share) * np.abs(share) ** exponent
         return decoded
@@ -107,10 +107,10 @@ def _decoded(
     slope = exponent * max(levels.sky / peak, LEAST_SHARE) ** (exponent - 1.0)
     changed = replace(
         levels,
-        sky=float(light(levels.sky)),
+        sky=float(decode_counts(levels.sky)),
         noise=levels.noise * slope,
-        bright=float(light(levels.bright)),
-        threshold=float(light(levels.threshold)),
+        bright=float(decode_counts(levels.bright)),
+        threshold=float(decode_counts(levels.threshold)),
     )
-    full = float(light(saturation)) if np.isfinite(saturation) else saturation
-    return replace(profiles, values=light(profiles.values)), changed, full
+    full = float(decode_counts(saturation)) if np.isfinite(saturation) else saturation
+    return replace(profiles, values=decode_counts(profiles.values)), changed, full

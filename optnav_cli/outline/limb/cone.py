@@ -44,8 +44,8 @@ class Cone:
         """Unit vector (3,) to the body's centre, camera frame."""
         return unit(np.linalg.solve(self.stretch, self.axis))
 
-    def depth(self, rays: FloatArray) -> FloatArray:
-        """How far inside the cone unit rays (..., 3), stretched, lie, rad; negative in the sky."""
+    def measure_depth(self, rays: FloatArray) -> FloatArray:
+        """Measure depth (...) of stretched unit rays (..., 3) in the cone, rad; < 0 in the sky."""
         # of unit vectors: the chord keeps small angles exact, and is quicker than the cross product
         x, y, z = np.moveaxis(rays - self.axis, -1, 0)
         chord = np.sqrt(x * x + y * y + z * z)
@@ -69,7 +69,7 @@ class PixelRays(NamedTuple):
         return PixelRays(self.rays[kept], self.by_x[kept], self.by_y[kept])
 
 
-def stretched_rays(camera: Camera, pixels: FloatArray, stretch: FloatArray) -> FloatArray:
+def compute_stretched_rays(camera: Camera, pixels: FloatArray, stretch: FloatArray) -> FloatArray:
     """Unit rays (..., 3) of pixels (..., 2) in the stretched space."""
     rays = camera.unproject(pixels)
     if (stretch == np.eye(3)).all():
@@ -77,15 +77,15 @@ def stretched_rays(camera: Camera, pixels: FloatArray, stretch: FloatArray) -> F
     return unit(rays @ stretch.T)
 
 
-def pixel_rays(camera: Camera, pixels: FloatArray, stretch: FloatArray) -> PixelRays:
+def compute_pixel_rays(camera: Camera, pixels: FloatArray, stretch: FloatArray) -> PixelRays:
     """Rays of pixels (n, 2) with their derivatives, by differences half a pixel to each side."""
     half = 0.5
     shifts = np.array([[0.0, 0.0], [half, 0.0], [-half, 0.0], [0.0, half], [0.0, -half]])
-    rays = stretched_rays(camera, pixels[None] + shifts[:, None], stretch)
+    rays = compute_stretched_rays(camera, pixels[None] + shifts[:, None], stretch)
     return PixelRays(rays[0], rays[1] - rays[2], rays[3] - rays[4])
 
 
-def distances(cone: Cone, where: PixelRays) -> tuple[FloatArray, FloatArray]:
+def measure_distances(cone: Cone, where: PixelRays) -> tuple[FloatArray, FloatArray]:
     """Signed distance (n,) of pixels to the cone's curve, px, and the unit inward normal (n, 2).
 
     Positive inside. Exact for a small step; the curve's own bend is in the angle.
@@ -94,7 +94,7 @@ def distances(cone: Cone, where: PixelRays) -> tuple[FloatArray, FloatArray]:
     along = where.rays @ cone.axis
     sine = np.sqrt(np.maximum(1.0 - along**2, 1e-30))
     size = np.maximum(np.linalg.norm(slope, axis=-1), 1e-30)
-    return cone.depth(where.rays) * sine / size, slope / size[:, None]
+    return cone.measure_depth(where.rays) * sine / size, slope / size[:, None]
 
 
 @kernel
@@ -107,7 +107,7 @@ def _score(
     relief: float,
     least: float,
 ) -> float:
-    """Agreement of candidates with the cone e.s = 1, each from 0 to 1; 0 if not over `least`."""
+    """Score the agreement of candidates with the cone e.s = 1, each 0 to 1; 0 if below `least`."""
     length2 = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
     tangent = np.sqrt(length2 - 1.0)
     far = 2.01 * (relief * tangent * tangent) ** 2
@@ -124,17 +124,17 @@ def _score(
         size = np.sqrt(gx * gx + gy * gy)
         # |s| sin(angle) = tan(angle): turns the value into rad, and rad into px by the slope
         tolerance = BASE_TOLERANCE_PX + relief * tangent * tangent / max(size, 1e-12)
-        away = value / (size * tolerance)
-        if away * away >= 1.0:
+        misfit = value / (size * tolerance)
+        if misfit * misfit >= 1.0:
             continue
         if gx * gradient[i, 0] + gy * gradient[i, 1] < MIN_COSINE * size:
             continue
-        total += 1.0 - away * away
+        total += 1.0 - misfit * misfit
     return total
 
 
 @kernel
-def _consensus(
+def _find_best_cone(
     samples: IntArray,
     rays: FloatArray,
     by_x: FloatArray,
@@ -143,7 +143,7 @@ def _consensus(
     relief: float,
     max_s2: float,
 ) -> tuple[float, FloatArray]:
-    """The best-scored cone, |s|^2 up to `max_s2`, among those through triples of candidates."""
+    """Find the best-scored cone, |s|^2 up to `max_s2`, through triples of candidates."""
     best, best_s = 0.0, np.zeros(3)
     for k in range(samples.shape[0]):
         a, b, c = rays[samples[k, 0]], rays[samples[k, 1]], rays[samples[k, 2]]
@@ -164,7 +164,7 @@ def _consensus(
 def find_cone(
     where: PixelRays, gradient: FloatArray, stretch: FloatArray, relief: float, seed: int = 0
 ) -> tuple[Cone, BoolArray] | None:
-    """The cone that most candidates agree with, and which they are; None when no three make one.
+    """Find the cone that most candidates agree with, and which they are; None when there is none.
 
     gradient (n, 2) of brightness at the candidates, any length;  relief in body radii.
     """
@@ -179,11 +179,11 @@ def find_cone(
     # squared length of s = axis / cos(angle) at the lowest height; infinite without relief
     sine = 1.0 / (1.0 + MIN_HEIGHT_RELIEFS * relief)
     max_s2 = 1.0 / (1.0 - sine * sine) if relief > 0.0 else np.inf
-    score, s = _consensus(samples, *drawn, unit[some], relief, max_s2)
+    score, s = _find_best_cone(samples, *drawn, unit[some], relief, max_s2)
     if score <= 0.0:
         return None
-    cone = _cone(s, stretch)
-    agrees = agreeing(cone, where, unit, relief)
+    cone = _make_cone(s, stretch)
+    agrees = find_agreeing(cone, where, unit, relief)
     for _ in range(_REFITS):
         if agrees.sum() < 3:
             return None
@@ -191,16 +191,16 @@ def find_cone(
         if fitted is None:
             break
         cone = fitted
-        again = agreeing(cone, where, unit, relief)
+        again = find_agreeing(cone, where, unit, relief)
         if (again == agrees).all():
             break
         agrees = again
     return cone, agrees
 
 
-def agreeing(cone: Cone, where: PixelRays, gradient: FloatArray, relief: float) -> BoolArray:
-    """Which candidates (n,) lie near a cone's curve and rise along its normal."""
-    distance, inward = distances(cone, where)
+def find_agreeing(cone: Cone, where: PixelRays, gradient: FloatArray, relief: float) -> BoolArray:
+    """Find which candidates (n,) lie near a cone's curve and rise along its normal."""
+    distance, inward = measure_distances(cone, where)
     slope = np.hypot(where.by_x @ cone.axis, where.by_y @ cone.axis)
     rad_per_px = slope / max(np.sin(cone.angle), 1e-12)
     limit = BASE_TOLERANCE_PX + relief * np.tan(cone.angle) / np.maximum(rad_per_px, 1e-12)
@@ -218,9 +218,9 @@ def fit_cone(where: PixelRays, used: BoolArray, start: Cone) -> Cone | None:
     solved, _, rank, _ = np.linalg.lstsq(rays * weight[:, None], weight, rcond=None)
     if rank < 3 or not float(solved @ solved) > 1.0:
         return None
-    return _cone(solved, start.stretch)
+    return _make_cone(solved, start.stretch)
 
 
-def _cone(s: FloatArray, stretch: FloatArray) -> Cone:
+def _make_cone(s: FloatArray, stretch: FloatArray) -> Cone:
     length = float(np.linalg.norm(s))
     return Cone(stretch, s / length, float(np.arctan(np.sqrt(length * length - 1.0))))

@@ -15,27 +15,27 @@ from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.segmentation import Segmented
-from optnav_cli.outline.disc.fit import MAX_BENT_LIMB_PX, edge_bias_px
+from optnav_cli.outline.disc.fit import MAX_BENT_LIMB_PX, measure_edge_bias_px
 from optnav_cli.outline.limb import checks
 from optnav_cli.outline.limb.candidates import (
     MIN_BLOB_PIXELS,
     Candidates,
-    bounded_by_sky,
     find_candidates,
+    is_bounded_by_sky,
     is_sunlit,
-    on_limb,
-    sharpness,
+    measure_sharpness,
+    select_limb_candidates,
 )
 from optnav_cli.outline.limb.coding import fit_edges
 from optnav_cli.outline.limb.cone import (
     Cone,
     PixelRays,
-    distances,
+    compute_pixel_rays,
     find_cone,
     fit_cone,
-    pixel_rays,
+    measure_distances,
 )
-from optnav_cli.outline.limb.edge_fit import profiles_across
+from optnav_cli.outline.limb.edge_fit import sample_profiles
 from optnav_cli.reasons import ReasonCode
 
 MAX_POINTS = 3000
@@ -110,19 +110,19 @@ def find_limb(
     """
     areas = lit or Segmented(picture)
     full = np.inf if saturation is None else saturation
-    space = _space(stretch)
+    space = _normalise_stretch(stretch)
     try:
-        return _limb_of(areas, camera, sun_camera, full, space, relief)[0]
+        return _locate_limb(areas, camera, sun_camera, full, space, relief)[0]
     except NoSolutionError as error:
         if error.code not in OTHER_LIGHT_CODES:
             raise
-        limb = _limb_beside_other_light(areas, camera, sun_camera, full, space, relief)
+        limb = _find_limb_beside_other_light(areas, camera, sun_camera, full, space, relief)
         if limb is None:
             raise
         return limb
 
 
-def _limb_beside_other_light(
+def _find_limb_beside_other_light(
     areas: Segmented,
     camera: Camera,
     sun_camera: FloatArray | None,
@@ -135,21 +135,21 @@ def _limb_beside_other_light(
     Plumes, haze and halos have no edges of their own, which tells them from structure and from
     other ground. Burnt-in text and stars are small.
     """
-    _, where = _edges(areas, camera, space)
+    _, where = _get_edges(areas, camera, space)
     for share in RAISED_SHARES:
         with suppress(NoSolutionError):
             brighter = areas.raised(share)
-            limb, cone = _limb_of(brighter, camera, sun_camera, saturation, space, relief)
+            limb, cone = _locate_limb(brighter, camera, sun_camera, saturation, space, relief)
             if checks.count_beyond(cone, where, relief) <= MAX_STRAY_EDGES * len(limb):
                 return limb
     alone = areas.largest_alone(MIN_BLOB_PIXELS)
     if alone is not None:
         with suppress(NoSolutionError):
-            return _limb_of(alone, camera, sun_camera, saturation, space, relief)[0]
+            return _locate_limb(alone, camera, sun_camera, saturation, space, relief)[0]
     return None
 
 
-def _limb_of(
+def _locate_limb(
     areas: Segmented,
     camera: Camera,
     sun_camera: FloatArray | None,
@@ -161,26 +161,26 @@ def _limb_of(
     picture = areas.picture
     levels, blobs = areas.levels, areas.blobs
     checks.check_blobs(picture, blobs, levels, full)
-    candidates, everywhere = _edges(areas, camera, space)
-    cone, kept = _first_cone(
+    candidates, everywhere = _get_edges(areas, camera, space)
+    cone, kept = _find_first_cone(
         picture, camera, candidates, everywhere, levels.threshold, sun_camera, relief, space
     )
     on_edge, where = candidates.subset(kept), everywhere.subset(kept)
-    limb, where = on_limb(on_edge, where, cone, relief)
+    limb, where = select_limb_candidates(on_edge, where, cone, relief)
     pixel = float(np.median(np.linalg.norm(where.by_x, axis=1))) if len(limb) else 0.0
-    arc = checks.arc_deg(cone, where.rays, 3.0, pixel)
+    arc = checks.measure_arc_deg(cone, where.rays, 3.0, pixel)
     checks.check_arc(arc, len(limb))
-    checks.check_sharp(sharpness(picture, limb))
+    checks.check_sharp(measure_sharpness(picture, limb))
     checks.check_others(picture, camera, candidates, everywhere, cone, levels, relief)
     checks.check_hidden(picture, camera, cone, where.rays, sun_camera)
 
-    limb, where = _thinned(cone, limb, where)
-    profiles, places, bend = profiles_across(picture, camera, limb, where, cone, sun_camera)
+    limb, where = _limit_points(cone, limb, where)
+    profiles, places, bend = sample_profiles(picture, camera, limb, where, cone, sun_camera)
     edges = fit_edges(profiles, levels, full)
     depth, sigma, shape = edges.depth_px, edges.sigma_px, edges.shape
-    distance, inward = distances(cone, where)
+    distance, inward = measure_distances(cone, where)
     if sun_camera is not None and float(np.median(bend)) * MAX_BENT_LIMB_PX > 1.0:
-        bias = edge_bias_px(profiles, places, camera, cone, sun_camera, shape, edges.levels)
+        bias = measure_edge_bias_px(profiles, places, camera, cone, sun_camera, shape, edges.levels)
     else:
         # a convex limb's blur moves its half level inward by sigma^2 / (2 radius)
         bias = 0.5 * shape.blur_px**2 * bend
@@ -194,10 +194,10 @@ def _limb_of(
             ReasonCode.NOISY_LIMB,
         )
     pixels, sigma = pixels[good], sigma[good]
-    where = pixel_rays(camera, pixels, space)
+    where = compute_pixel_rays(camera, pixels, space)
     cone = fit_cone(where, np.ones(len(pixels), dtype=bool), cone) or cone
-    _, inward = distances(cone, where)
-    order = np.argsort(checks.azimuths(cone, where.rays), kind="stable")
+    _, inward = measure_distances(cone, where)
+    order = np.argsort(checks.compute_azimuths(cone, where.rays), kind="stable")
     limb_points = LimbPoints(
         pixels=pixels[order],
         sigma_px=sigma[order],
@@ -206,7 +206,7 @@ def _limb_of(
         blur_px=shape.blur_px,
         cone_axis_camera=cone.axis_camera(),
         cone_angle=cone.angle,
-        arc_deg=checks.arc_deg(cone, where.rays, 3.0, pixel),
+        arc_deg=checks.measure_arc_deg(cone, where.rays, 3.0, pixel),
         lit_pixels=int(blobs.area[0]),
         cut_by_frame=blobs.reaches_border(0),
         exponent=edges.exponent,
@@ -214,7 +214,7 @@ def _limb_of(
     return limb_points, cone
 
 
-def _space(stretch: FloatArray | None) -> FloatArray:
+def _normalise_stretch(stretch: FloatArray | None) -> FloatArray:
     """The stretch to unit size; of a sphere, whose stretch only turns, the unit matrix."""
     if stretch is None:
         return np.eye(3)
@@ -222,18 +222,18 @@ def _space(stretch: FloatArray | None) -> FloatArray:
     return np.eye(3) if np.allclose(unit @ unit.T, np.eye(3), atol=1e-9) else unit
 
 
-def _edges(areas: Segmented, camera: Camera, space: FloatArray) -> tuple[Candidates, PixelRays]:
+def _get_edges(areas: Segmented, camera: Camera, space: FloatArray) -> tuple[Candidates, PixelRays]:
     """A picture's candidates for a limb, and their rays in the space; made once."""
 
     def make() -> tuple[Candidates, PixelRays]:
         candidates = find_candidates(areas.picture, camera, areas.levels, areas.blobs)
-        return candidates, pixel_rays(camera, candidates.pixels, space)
+        return candidates, compute_pixel_rays(camera, candidates.pixels, space)
 
     made: tuple[Candidates, PixelRays] = areas.made.get(("edges", camera, space.tobytes()), make)
     return made
 
 
-def _first_cone(
+def _find_first_cone(
     picture: Float32Array,
     camera: Camera,
     candidates: Candidates,
@@ -245,7 +245,7 @@ def _first_cone(
 ) -> tuple[Cone, BoolArray]:
     """A first cone, and which candidates may be lit limb; where: their rays in the space."""
     if sun_camera is None:
-        kept = sharpness(picture, candidates) > SHARP_SHARE
+        kept = measure_sharpness(picture, candidates) > SHARP_SHARE
     else:
         kept = is_sunlit(where, candidates.gradient, space, sun_camera)
     if kept.sum() < MIN_POINTS <= len(candidates):
@@ -254,7 +254,7 @@ def _first_cone(
             "are terminator or face away from the Sun of this attitude and time",
             ReasonCode.NO_LIMB,
         )
-    kept &= bounded_by_sky(picture, camera, candidates.pixels, candidates.gradient, threshold)
+    kept &= is_bounded_by_sky(picture, camera, candidates.pixels, candidates.gradient, threshold)
     if kept.sum() < MIN_POINTS:
         raise NoSolutionError(
             f"no limb in view: of {len(candidates)} edges from dark to bright in the picture "
@@ -262,17 +262,17 @@ def _first_cone(
             ReasonCode.NO_LIMB,
         )
     lit = candidates.subset(kept)
-    found = find_cone(where.subset(kept), lit.gradient, space, relief)
-    if found is None or found[1].sum() < MIN_POINTS:
+    fit = find_cone(where.subset(kept), lit.gradient, space, relief)
+    if fit is None or fit[1].sum() < MIN_POINTS:
         text = f"no limb in view: no curve joins the {len(lit)} edges of the picture"
         raise NoSolutionError(text, ReasonCode.NO_LIMB)
-    return found[0], kept
+    return fit[0], kept
 
 
-def _thinned(cone: Cone, limb: Candidates, where: PixelRays) -> tuple[Candidates, PixelRays]:
+def _limit_points(cone: Cone, limb: Candidates, where: PixelRays) -> tuple[Candidates, PixelRays]:
     """At most MAX_POINTS, evenly in azimuth."""
     if len(limb) <= MAX_POINTS:
         return limb, where
-    order = np.argsort(checks.azimuths(cone, where.rays), kind="stable")
+    order = np.argsort(checks.compute_azimuths(cone, where.rays), kind="stable")
     some = order[np.linspace(0, len(order) - 1, MAX_POINTS).astype(np.int64)]
     return limb.subset(some), where.subset(some)

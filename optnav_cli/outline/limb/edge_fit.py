@@ -16,9 +16,13 @@ from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.segmentation import Levels
-from optnav_cli.outline.limb.candidates import BORDER_PX, Candidates, outward_normals
-from optnav_cli.outline.limb.cone import Cone, PixelRays, distances, stretched_rays
-from optnav_cli.outline.limb.photometry import blurred_law, laws_across_limb, power_table
+from optnav_cli.outline.limb.candidates import BORDER_PX, Candidates, compute_outward_normals
+from optnav_cli.outline.limb.cone import Cone, PixelRays, compute_stretched_rays, measure_distances
+from optnav_cli.outline.limb.photometry import (
+    compute_limb_laws,
+    evaluate_blurred_law,
+    get_power_table,
+)
 from optnav_cli.reasons import ReasonCode
 
 # Profiles reach this far to the dark and to the bright side of the crossing, px along the scan,
@@ -70,7 +74,7 @@ class Profiles:
 
 @dataclass(frozen=True)
 class EdgeShape:
-    """What the edges of a picture have in common.
+    """Properties that all edges of a picture share.
 
     blur_px    sigma of the blur, the pixel's own width included
     mixture    shares of the second and the third law
@@ -86,7 +90,7 @@ class EdgeShape:
 
 
 @kernel
-def _fit(
+def _fit_profiles(
     values: FloatArray,
     depth: FloatArray,
     start: FloatArray,
@@ -95,7 +99,7 @@ def _fit(
     common: FloatArray,
     state: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Level, brightness and depth of each edge by Gauss-Newton.
+    """Fit level, brightness and depth of each edge by Gauss-Newton.
 
     common  blur, sky, variance, gain and saturation of the picture
     state (n, 3): level, brightness, depth; where to start, and the answer
@@ -109,8 +113,8 @@ def _fit(
     shares = np.empty(law.shape[1])
     prior = 1.0 / (SKY_PRIOR_SIGMAS * SKY_PRIOR_SIGMAS * variance)
     for i in range(n):
-        level, bright, place = state[i, 0], state[i, 1], state[i, 2]
-        total, used, spread_place = 0.0, 0, np.nan
+        level, bright, edge_depth = state[i, 0], state[i, 1], state[i, 2]
+        total, used, depth_variance = 0.0, 0, np.nan
         for k in range(law.shape[1]):
             shares[k] = law[i, k] * blur ** (0.5 * k)
         for turn in range(ITERATIONS):
@@ -121,7 +125,9 @@ def _fit(
                 residual[i, j] = 0.0
                 if np.isnan(depth[i, j]):
                     continue
-                shape, slope = blurred_law(table, shares, (depth[i, j] - place) / blur, blur)
+                shape, slope = evaluate_blurred_law(
+                    table, shares, (depth[i, j] - edge_depth) / blur, blur
+                )
                 model = level + bright * shape
                 if model >= saturation and values[i, j] >= saturation:
                     continue
@@ -152,23 +158,23 @@ def _fit(
                 used = 0
                 break
             move = (c02 * b0 + c12 * b1 + c22 * b2) / determinant
-            spread_place = c22 / determinant
+            depth_variance = c22 / determinant
             level += (c00 * b0 + c01 * b1 + c02 * b2) / determinant
             bright = max(bright + (c01 * b0 + c11 * b1 + c12 * b2) / determinant, 0.2 * bright)
-            place += min(max(move, -1.0), 1.0)
+            edge_depth += min(max(move, -1.0), 1.0)
             if abs(move) < SETTLED_PX and turn > 1:
                 break
-        if used < 5 or not abs(place - start[i]) < MAX_EDGE_SHIFT_PX:
+        if used < 5 or not abs(edge_depth - start[i]) < MAX_EDGE_SHIFT_PX:
             result[i, :] = np.nan
             residual[i, :] = 0.0
             continue
-        state[i, 0], state[i, 1], state[i, 2] = level, bright, place
-        result[i, 0], result[i, 1], result[i, 2] = spread_place, total, used - 3
+        state[i, 0], state[i, 1], state[i, 2] = level, bright, edge_depth
+        result[i, 0], result[i, 1], result[i, 2] = depth_variance, total, used - 3
     return result, residual
 
 
 class _Fitter:
-    """Fits profiles again and again, each time from where the last time ended."""
+    """Repeated fits of the same profiles, each started from the last solution."""
 
     def __init__(self, profiles: Profiles, sky: float, saturation: float) -> None:
         self.profiles, self.sky, self.saturation = profiles, sky, saturation
@@ -183,34 +189,36 @@ class _Fitter:
         seen, laws = self.profiles, self.profiles.laws
         law = (1.0 - second - third) * laws[0] + second * laws[1] + third * laws[2]
         common = np.array([shape.blur_px, self.sky, shape.variance, shape.gain, self.saturation])
-        self.result, residual = _fit(
-            seen.values, seen.depth, seen.start, law, power_table(), common, self.state
+        self.result, residual = _fit_profiles(
+            seen.values, seen.depth, seen.start, law, get_power_table(), common, self.state
         )
         return residual
 
-    def placed(self) -> int:
-        """How many profiles have an edge under the last shape."""
+    def count_located(self) -> int:
+        """Count the profiles with an edge under the last shape."""
         return int(np.isfinite(self.result[:, 0]).sum())
 
 
-def common_shape(profiles: Profiles, levels: Levels, saturation: float) -> EdgeShape:
-    """Blur, law and noise of a picture's edges, from some of its profiles.
+def fit_common_shape(profiles: Profiles, levels: Levels, saturation: float) -> EdgeShape:
+    """Fit blur, law and noise of a picture's edges to some of its profiles.
 
     Raises NoSolutionError when no profile has an edge.
     """
-    fitter = _Fitter(profiles.subset(_some(profiles)), levels.sky, saturation)
+    fitter = _Fitter(profiles.subset(_select_profiles(profiles)), levels.sky, saturation)
     gain = START_GAIN_SHARE**2 * (levels.bright - levels.sky)
     shape = EdgeShape(START_BLUR_PX, (MIXTURE_PRIOR, MIXTURE_PRIOR), levels.noise**2, gain)
     for _ in range(2):
-        found, jacobian, residual = _better(fitter, shape)
-        shape = replace(found, gain=_gain(fitter, found))
-    return replace(shape, common_sigma_px=_common_sigma(fitter, found, jacobian, residual))
+        refined, jacobian, residual = _refine_shape(fitter, shape)
+        shape = replace(refined, gain=_estimate_gain(fitter, refined))
+    return replace(
+        shape, common_sigma_px=_estimate_common_sigma(fitter, refined, jacobian, residual)
+    )
 
 
 def locate_edges(
     profiles: Profiles, shape: EdgeShape, levels: Levels, saturation: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Depth (n,) of every edge inside the fitted cone's curve, px, and its 1-sigma error (n,), px.
+    """Return the depth (n,) of each edge inside the fitted cone's curve and its 1-sigma error, px.
 
     Both NaN where no edge fits.
     """
@@ -224,32 +232,32 @@ def locate_edges(
     return depth, np.sqrt(spread * np.maximum(factor, 0.5) + MODEL_SIGMA_PX**2)
 
 
-def edge_residuals(
+def compute_edge_residuals(
     profiles: Profiles, shape: EdgeShape, levels: Levels, saturation: float
 ) -> tuple[FloatArray, FloatArray]:
     """Distances (m,) of pixels inside their edges, px, and residuals (m,) in sigmas.
 
     Of the pixels used in as many profiles as find the common shape.
     """
-    fitter = _Fitter(profiles.subset(_some(profiles)), levels.sky, saturation)
+    fitter = _Fitter(profiles.subset(_select_profiles(profiles)), levels.sky, saturation)
     residuals = fitter.run(shape)
     used = (residuals != 0.0) & np.isfinite(residuals)
     return (fitter.profiles.depth - fitter.state[:, 2:])[used], residuals[used]
 
 
-def _some(profiles: Profiles) -> IntArray:
-    """Numbers of the profiles that find the common blur and law."""
+def _select_profiles(profiles: Profiles) -> IntArray:
+    """Choose the profiles that determine the common blur and law; return their numbers."""
     n = len(profiles.start)
     return np.unique(np.linspace(0, n - 1, min(n, MAX_SHAPING)).astype(np.int64))
 
 
-def _better(fitter: _Fitter, start: EdgeShape) -> tuple[EdgeShape, FloatArray, FloatArray]:
-    """The shape whose edges leave the smallest residuals, by Gauss-Newton with differences.
+def _refine_shape(fitter: _Fitter, start: EdgeShape) -> tuple[EdgeShape, FloatArray, FloatArray]:
+    """Find the shape with the smallest residuals by Gauss-Newton with finite differences.
 
     Also returns the last Jacobian and the residuals.
     """
 
-    def residuals(values: FloatArray) -> FloatArray:
+    def compute_residuals(values: FloatArray) -> FloatArray:
         second, third = float(values[1]), float(values[2])
         residual = fitter.run(replace(start, blur_px=float(values[0]), mixture=(second, third)))
         # a smooth cut keeps single bad profiles from shaping all
@@ -257,23 +265,23 @@ def _better(fitter: _Fitter, start: EdgeShape) -> tuple[EdgeShape, FloatArray, F
         return np.append(cut.ravel(), (values[1:] - MIXTURE_PRIOR) / MIXTURE_SIGMA)
 
     best = np.array([start.blur_px, *start.mixture])
-    at_best = residuals(best)
-    least_placed = MIN_KEPT_SHARE * fitter.placed()
-    if least_placed == 0.0:
+    at_best = compute_residuals(best)
+    least_located = MIN_KEPT_SHARE * fitter.count_located()
+    if least_located == 0.0:
         raise NoSolutionError(
             "no limb point has an edge that stands out of the noise", ReasonCode.NOISY_LIMB
         )
     for _ in range(SHAPE_TURNS):
-        columns = [residuals(best + step) - at_best for step in np.diag(SHAPE_STEPS)]
+        columns = [compute_residuals(best + step) - at_best for step in np.diag(SHAPE_STEPS)]
         jacobian = np.stack(columns, axis=1) / SHAPE_STEPS
         move = -np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ at_best)
         move = np.clip(move, -MAX_SHAPE_MOVE, MAX_SHAPE_MOVE)
         for _ in range(SHAPE_HALVINGS):
             better = best + move
             better[0] = np.clip(better[0], *BLUR_RANGE_PX)
-            at_better = residuals(better)
+            at_better = compute_residuals(better)
             improved = float(at_better @ at_better) < float(at_best @ at_best)
-            improved = improved and fitter.placed() >= least_placed
+            improved = improved and fitter.count_located() >= least_located
             if improved:
                 break
             move *= 0.4
@@ -282,14 +290,14 @@ def _better(fitter: _Fitter, start: EdgeShape) -> tuple[EdgeShape, FloatArray, F
         best, at_best = better, at_better
         if (np.abs(move) < SHAPE_STEPS).all():
             break
-    found = replace(start, blur_px=float(best[0]), mixture=(float(best[1]), float(best[2])))
-    return found, jacobian, at_best
+    refined = replace(start, blur_px=float(best[0]), mixture=(float(best[1]), float(best[2])))
+    return refined, jacobian, at_best
 
 
-def _common_sigma(
+def _estimate_common_sigma(
     fitter: _Fitter, shape: EdgeShape, jacobian: FloatArray, residual: FloatArray
 ) -> float:
-    """What one sigma of the common shape moves the edges by in the mean, px."""
+    """Estimate how far one sigma of the common shape moves the edges on average, px."""
     freedom = max(int((residual != 0.0).sum()) - 3 * len(fitter.state), 1)
     scale = max(float(residual @ residual) / freedom, 1.0)
     covariance = scale * np.linalg.inv(jacobian.T @ jacobian)
@@ -306,7 +314,7 @@ def _common_sigma(
     return float(np.sqrt(max(float(moved @ covariance @ moved), 0.0)))
 
 
-def _gain(fitter: _Fitter, shape: EdgeShape) -> float:
+def _estimate_gain(fitter: _Fitter, shape: EdgeShape) -> float:
     """Variance that a pixel of the body has beyond the sky's, over its brightness."""
     residual = fitter.run(shape)
     inside = fitter.profiles.depth - fitter.state[:, 2:] > 1.5 * shape.blur_px
@@ -317,11 +325,11 @@ def _gain(fitter: _Fitter, shape: EdgeShape) -> float:
     stated = shape.variance + shape.gain * above[use]
     # three unknowns of each profile have drawn the residuals in
     freedom = float(np.nansum(fitter.result[:, 2])) / max(float((residual != 0.0).sum()), 1.0)
-    found = residual[use] ** 2 * stated / max(freedom, 0.2) - shape.variance
-    return max(float(found.sum() / above[use].sum()), 1e-4 * shape.gain)
+    excess = residual[use] ** 2 * stated / max(freedom, 0.2) - shape.variance
+    return max(float(excess.sum() / above[use].sum()), 1e-4 * shape.gain)
 
 
-def profiles_across(
+def sample_profiles(
     picture: Float32Array,
     camera: Camera,
     limb: Candidates,
@@ -338,26 +346,26 @@ def profiles_across(
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     values = picture[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(np.float64)
 
-    distance, inward = distances(cone, where)
+    distance, inward = measure_distances(cone, where)
     along = np.stack([-inward[:, 1], inward[:, 0]], axis=1)
     slope = np.hypot(where.by_x @ cone.axis, where.by_y @ cone.axis)
     # of the ray, not of the cone: a small body's limb may lie a tenth of its radius off the curve
     sine = np.sqrt(np.maximum(1.0 - (where.rays @ cone.axis) ** 2, 1e-30))
     rad_per_px: FloatArray = slope / sine
-    rays = stretched_rays(camera, places.astype(np.float64), cone.stretch)
-    depth = cone.depth(rays) / rad_per_px[:, None]
+    rays = compute_stretched_rays(camera, places.astype(np.float64), cone.stretch)
+    depth = cone.measure_depth(rays) / rad_per_px[:, None]
     # two pixels along the curve's tangent the curve has bent away by 2^2 / 2 radius
-    aside = stretched_rays(
+    aside = compute_stretched_rays(
         camera, limb.pixels + np.array([[[2.0]], [[-2.0]]]) * along, cone.stretch
     )
-    bend = -0.5 * ((cone.depth(aside) / rad_per_px).mean(axis=0) - distance)
+    bend = -0.5 * ((cone.measure_depth(aside) / rad_per_px).mean(axis=0) - distance)
     deepest = np.minimum(MAX_DEPTH_PX, np.maximum(MAX_DEPTH_SHARE / np.maximum(bend, 1e-6), 2.5))
     usable = inside & (depth < distance[:, None] + deepest[:, None])
     usable &= camera.contains(places.astype(np.float64), BORDER_PX - 3) & np.isfinite(values)
     depth = np.where(usable, depth, np.nan)
 
-    normal = outward_normals(where, inward, cone.stretch)
+    normal = compute_outward_normals(where, inward, cone.stretch)
     ray = unit(np.linalg.solve(cone.stretch, where.rays.T).T)
     middle_phase = 1.0 if sun_camera is None else -float(cone.axis_camera() @ sun_camera)
-    laws = laws_across_limb(normal, ray, sun_camera, cone.angle, rad_per_px, middle_phase)
+    laws = compute_limb_laws(normal, ray, sun_camera, cone.angle, rad_per_px, middle_phase)
     return Profiles(values, depth, distance, laws), places, bend

@@ -1,4 +1,4 @@
-"""Limb points as rays in the body frame, and what they have wrong that their residuals hide."""
+"""Limb points as rays in the body frame, and their errors that residuals do not show."""
 
 from dataclasses import dataclass, replace
 
@@ -12,7 +12,7 @@ from catalog.terrain.skyline.limb import nadir_axes
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.outline.limb.detection import LimbPoints
-from optnav_cli.outline.limb.sizes import LightSizes, horizon_sizes
+from optnav_cli.outline.limb.sizes import LightSizes, load_horizon_sizes
 from optnav_cli.reasons import ReasonCode, distinct_texts
 
 ARC_BIN_DEG = 2.0
@@ -44,13 +44,13 @@ class LimbRays:
     def __len__(self) -> int:
         return len(self.rays)
 
-    def own_sigmas(self, light: LightSizes | None = None) -> FloatArray:
-        """(n,) rad, error of each point that is its own, by the shipped sizes or others."""
-        light = light or horizon_sizes().light
+    def compute_point_sigmas(self, light: LightSizes | None = None) -> FloatArray:
+        """Compute the independent error (n,) of each point, rad, by the shipped sizes or others."""
+        light = light or load_horizon_sizes().light
         return np.hypot(self.sigma_px, light.noise_px) * self.pixel_angle
 
-    def azimuths(self, position: FloatArray) -> FloatArray:
-        """(n,) rad about the nadir of a position (3,), as `nadir_axes` counts them."""
+    def compute_azimuths(self, position: FloatArray) -> FloatArray:
+        """Compute azimuths (n,) about the nadir of a position (3,), rad; see `nadir_axes`."""
         x, y, _ = nadir_axes(position) @ self.rays.T
         azimuths: FloatArray = np.arctan2(y, x)
         return azimuths
@@ -66,7 +66,7 @@ class LimbRays:
         )
 
 
-def limb_rays_of(points: LimbPoints, camera: Camera, camera_from_body: Rotation) -> LimbRays:
+def make_limb_rays(points: LimbPoints, camera: Camera, camera_from_body: Rotation) -> LimbRays:
     """Rays of limb points. Raises NoSolutionError when the lens has none for them."""
     rays = camera.unproject(points.pixels)
     nearby = camera.unproject(points.pixels + points.inward)
@@ -77,12 +77,12 @@ def limb_rays_of(points: LimbPoints, camera: Camera, camera_from_body: Rotation)
         )
     angle = np.linalg.norm(np.cross(rays[seen], nearby[seen]), axis=1)
     turned = camera_from_body.apply(rays[seen], inverse=True)
-    own, blur = points.sigma_px[seen], points.blur_px * float(np.median(angle))
-    return LimbRays(turned, angle, own, blur, points.common_sigma_px, np.flatnonzero(seen))
+    sigma_px, blur = points.sigma_px[seen], points.blur_px * float(np.median(angle))
+    return LimbRays(turned, angle, sigma_px, blur, points.common_sigma_px, np.flatnonzero(seen))
 
 
-def arc_deg(azimuths: FloatArray) -> float:
-    """Azimuth, in degrees, that points (rad) cover, in steps of about ARC_BIN_DEG.
+def measure_arc_deg(azimuths: FloatArray) -> float:
+    """Measure the azimuth range that points (rad) cover, degrees, in bins of about ARC_BIN_DEG.
 
     The few points of a small disc lie further apart: their steps are wide enough to hold one each.
     """
@@ -95,7 +95,7 @@ def arc_deg(azimuths: FloatArray) -> float:
 
 def require_arc(azimuths: FloatArray) -> float:
     """`arc_deg` of the points. Raises NoSolutionError for less than a position wants."""
-    arc = arc_deg(azimuths)
+    arc = measure_arc_deg(azimuths)
     if arc < MIN_ARC_DEG:
         seen, least = distinct_texts(arc, MIN_ARC_DEG, 0)
         raise NoSolutionError(
@@ -106,63 +106,63 @@ def require_arc(azimuths: FloatArray) -> float:
     return arc
 
 
-def attitude_covariance(position: FloatArray, sigma_rad: float) -> FloatArray:
-    """(3, 3) m^2: turning all rays moves the position about the body's centre, heights stay."""
+def compute_attitude_covariance(position: FloatArray, sigma_rad: float) -> FloatArray:
+    """Compute (3, 3) m^2: a turn of all rays moves the position about the centre, not in height."""
     square = float(position @ position)
     return sigma_rad**2 * (square * np.eye(3) - np.outer(position, position))
 
 
-def edge_errors(
+def compute_edge_errors(
     rays: LimbRays, azimuths: FloatArray, sun_sine: FloatArray, light: LightSizes | None = None
 ) -> FloatArray:
-    """What the edges have wrong together by their light: (n, m) rad, one sigma of each error.
+    """Compute the edge errors that illumination makes common: (n, m) rad, one sigma of each.
 
     azimuths (n,) about the nadir;  sun_sine (n,) sine of the Sun's elevation at each limb point
     light    other sizes than the shipped ones
     """
-    light = light or horizon_sizes().light
+    light = light or load_horizon_sizes().light
     elevation = np.degrees(np.arcsin(np.clip(sun_sine, 0.0, 1.0)))
     size_px = light.sector_px + light.sector_low_px * np.exp(-elevation / light.sector_fall_deg)
-    sectors = in_sectors(azimuths) * size_px[:, None]
+    sectors = group_by_sector(azimuths) * size_px[:, None]
     common = np.full((len(rays), 1), rays.common_px)
     return np.concatenate([common, sectors], axis=1) * rays.pixel_angle[:, None]
 
 
-def rough_errors(
+def compute_rough_errors(
     rays: LimbRays, azimuths: FloatArray, light: LightSizes | None = None
 ) -> FloatArray:
-    """What edges on ground in long shadows have wrong together: (n, m) rad, one sigma of each.
+    """Compute the common edge errors on ground in long shadows: (n, m) rad, one sigma of each.
 
     azimuths (n,) about the nadir;  light  other sizes than the shipped ones
 
     There the edge model fits no profile well, which shows in the points' own sigmas, and fits those
     of neighbours wrong alike.
     """
-    light = light or horizon_sizes().light
+    light = light or load_horizon_sizes().light
     size_px = light.rough_share * np.maximum(rays.sigma_px - light.rough_px, 0.0)
-    return in_sectors(azimuths, ROUGH_DEG) * (size_px * rays.pixel_angle)[:, None]
+    return group_by_sector(azimuths, ROUGH_DEG) * (size_px * rays.pixel_angle)[:, None]
 
 
-def in_sectors(azimuths: FloatArray, sector_deg: float = SECTOR_DEG) -> BoolArray:
-    """(n, m) which azimuths (n,) about the nadir, rad, lie in each sector."""
+def group_by_sector(azimuths: FloatArray, sector_deg: float = SECTOR_DEG) -> BoolArray:
+    """Return (n, m) which azimuths (n,) about the nadir, rad, lie in each sector."""
     count = round(360.0 / sector_deg)
-    within: BoolArray = _bins(azimuths, count)[:, None] == np.arange(count)
+    within: BoolArray = _bin_azimuths(azimuths, count)[:, None] == np.arange(count)
     return within
 
 
-def relief_covariance(
+def compute_relief_covariance(
     fit: Estimate[FloatArray], body: Body, azimuths: FloatArray, distance_m: float, circle: float
 ) -> FloatArray:
-    """(3, 3) m^2: what a body's relief does to the fit of its bare ellipsoid.
+    """Compute (3, 3) m^2: the effect of a body's relief on the fit of its bare ellipsoid.
 
     azimuths (n,) of the rays;  distance_m  to the limb;  circle  rad, angle at the body's centre
     from the nadir to the limb. Bodies other than the Moon take its statistics in units of their
     plausible heights.
     """
-    sizes = horizon_sizes().ellipsoid
+    sizes = load_horizon_sizes().ellipsoid
     low, high = body.plausible_heights_m
     unit = (high - low) / sizes.heights_km
-    bins = _bins(azimuths, RELIEF_BINS)
+    bins = _bin_azimuths(azimuths, RELIEF_BINS)
     rows = fit.measured.gain(fit.noise) / distance_m
     gain = np.stack([np.bincount(bins, row, RELIEF_BINS) for row in rows])
     at = 2.0 * np.pi * np.arange(RELIEF_BINS) / RELIEF_BINS
@@ -173,5 +173,5 @@ def relief_covariance(
     return moved
 
 
-def _bins(azimuths: FloatArray, count: int) -> IntArray:
+def _bin_azimuths(azimuths: FloatArray, count: int) -> IntArray:
     return np.floor((azimuths / (2.0 * np.pi) + 0.5) * count).astype(np.int64) % count

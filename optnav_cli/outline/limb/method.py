@@ -18,16 +18,21 @@ from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.outline.limb.detection import LimbPoints
 from optnav_cli.outline.limb.limb_rays import (
     LimbRays,
-    attitude_covariance,
-    edge_errors,
-    limb_rays_of,
-    relief_covariance,
+    compute_attitude_covariance,
+    compute_edge_errors,
+    compute_relief_covariance,
+    make_limb_rays,
     require_arc,
 )
 from optnav_cli.outline.limb.model import fit_limb
-from optnav_cli.outline.limb.relief_skyline import MAX_MISFIT, relief_skyline
-from optnav_cli.outline.limb.shape_skyline import is_shape, shape_skyline
-from optnav_cli.outline.limb.skyline import BodySkyline, Followed, follow, with_limb_errors
+from optnav_cli.outline.limb.relief_skyline import MAX_MISFIT, make_relief_skyline
+from optnav_cli.outline.limb.shape_skyline import is_shape, make_shape_skyline
+from optnav_cli.outline.limb.skyline import (
+    BodySkyline,
+    SkylineResult,
+    add_limb_errors,
+    fit_repeatedly,
+)
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 SHORT_ARC_DEG = 140.0  # below it a fix is remarked on
@@ -52,31 +57,33 @@ def navigate(
     Raises NoSolutionError, with the reason, when the limb does not give a position.
     """
     sun = None if sun_body is None else np.asarray(sun_body, dtype=np.float64)
-    rays = limb_rays_of(points, camera, camera_from_body)
-    start = fit_limb(rays.rays, rays.own_sigmas(), body.radii_m)
+    rays = make_limb_rays(points, camera, camera_from_body)
+    start = fit_limb(rays.rays, rays.compute_point_sigmas(), body.radii_m)
     if relief is None:
-        azimuths = rays.azimuths(start.state)
-        position, covariance = _on_ellipsoid(rays, azimuths, start, sun, body)
+        azimuths = rays.compute_azimuths(start.state)
+        position, covariance = _solve_on_ellipsoid(rays, azimuths, start, sun, body)
         fit = start
     else:
         skyline: BodySkyline = (
-            shape_skyline(relief) if is_shape(relief) else relief_skyline(relief, body.name)
+            make_shape_skyline(relief)
+            if is_shape(relief)
+            else make_relief_skyline(relief, body.name)
         )
-        last = follow(skyline, rays, start.state, sun)
+        last = fit_repeatedly(skyline, rays, start.state, sun)
         try:
             skyline.check(last)
         except NoSolutionError as error:
             if is_shape(relief) or last.fit.misfit <= MAX_MISFIT:
                 raise
-            inverse = limb_rays_of(points, camera, camera_from_body.inv())
-            if not _fits_better(inverse, skyline, last, body):
+            inverse = make_limb_rays(points, camera, camera_from_body.inv())
+            if not _is_better_fit(inverse, skyline, last, body):
                 raise
             raise NoSolutionError(
                 f"{error}; it fits the inverse rotation: is the quaternion body_from_camera?",
                 ReasonCode.WRONG_ATTITUDE,
             ) from None
         fit, rays, azimuths = last.fit.estimate, last.fit.rays, last.fit.azimuths
-        position, covariance = with_limb_errors(skyline, last.fit)
+        position, covariance = add_limb_errors(skyline, last.fit)
     used = fit.used
     arc = require_arc(azimuths[used])
     in_pixels = fit.measured.residuals[used] / rays.pixel_angle[used]
@@ -85,14 +92,14 @@ def navigate(
     rms = float(np.sqrt(np.mean(in_pixels**2)))
     marks = OutlineMarks(points.pixels, points.inward, residuals)
     evidence = Evidence(residual_rms_px=rms, n_limb=int(used.sum()), arc_deg=arc, outline=marks)
-    covariance = covariance + attitude_covariance(position, attitude_sigma_rad)
+    covariance = covariance + compute_attitude_covariance(position, attitude_sigma_rad)
     short = Reason(ReasonCode.SHORT_ARC, f"short arc of limb, {arc:.0f} deg")
-    remark = _remark_of_coding(points).followed_by(short if arc < SHORT_ARC_DEG else NO_REASON)
+    remark = _describe_coding(points).followed_by(short if arc < SHORT_ARC_DEG else NO_REASON)
     method = Method.HORIZON_SPHERE if relief is None else Method.HORIZON
     return Fix(method, position, covariance, camera_from_body, attitude_sigma_rad, evidence, remark)
 
 
-def _remark_of_coding(points: LimbPoints) -> Reason:
+def _describe_coding(points: LimbPoints) -> Reason:
     """A remark where the limb shows that counts are not linear in light; else none."""
     if points.exponent == 1.0:
         return NO_REASON
@@ -103,7 +110,7 @@ def _remark_of_coding(points: LimbPoints) -> Reason:
     )
 
 
-def _on_ellipsoid(
+def _solve_on_ellipsoid(
     rays: LimbRays,
     azimuths: FloatArray,
     fit: Estimate[FloatArray],
@@ -114,24 +121,28 @@ def _on_ellipsoid(
     position = fit.state
     distance = float(np.linalg.norm(position))
     sine = min(float(np.mean(body.radii_m)) / distance, 1.0)
-    away = distance * float(np.sqrt(1.0 - sine * sine))
-    relief = relief_covariance(fit, body, azimuths, away, circle=float(np.arccos(sine)))
+    limb_distance = distance * float(np.sqrt(1.0 - sine * sine))
+    relief = compute_relief_covariance(
+        fit, body, azimuths, limb_distance, circle=float(np.arccos(sine))
+    )
     sun_sine = np.ones(len(rays))
     if sun is not None:
         # of the Sun's elevation where the rays touch a sphere
         touch = position - (rays.rays @ position)[:, None] * rays.rays
         sun_sine = touch @ sun / (np.linalg.norm(touch, axis=1) * np.linalg.norm(sun))
-    errors = edge_errors(rays, azimuths, sun_sine)
+    errors = compute_edge_errors(rays, azimuths, sun_sine)
     return position, fit.noise + relief + considered(fit.measured.gain(fit.noise), errors)
 
 
-def _fits_better(inverse: LimbRays, skyline: BodySkyline, last: Followed, body: Body) -> bool:
+def _is_better_fit(
+    inverse: LimbRays, skyline: BodySkyline, last: SkylineResult, body: Body
+) -> bool:
     """Whether rays by the inverse rotation fit a skyline, where those of the stated one do not."""
     try:
-        start = fit_limb(inverse.rays, inverse.own_sigmas(), body.radii_m).state
+        start = fit_limb(inverse.rays, inverse.compute_point_sigmas(), body.radii_m).state
         # the Sun was turned into the picture by the same attitude: what is lit is not known
-        found = follow(skyline, inverse, start, None)
-        skyline.check(found)
+        result = fit_repeatedly(skyline, inverse, start, None)
+        skyline.check(result)
     except NoSolutionError:
         return False
-    return found.fit.misfit <= INVERSE_MISFIT_SHARE * last.fit.misfit
+    return result.fit.misfit <= INVERSE_MISFIT_SHARE * last.fit.misfit

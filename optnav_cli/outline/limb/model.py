@@ -64,9 +64,9 @@ class LimbModel:
         self._sizes = np.ones(len(rays)) if scales is None else scales
         self._radii, self._cut = radii_m, cut
 
-    def linear_position(self) -> FloatArray:
+    def solve_linear(self) -> FloatArray:
         """Position (3,) by e . s = 1. Raises NoSolutionError for what is no cone about a body."""
-        start = _linear(self._stretched, self._stated, self._radii)
+        start = _solve_linear(self._stretched, self._stated, self._radii)
         if not np.isfinite(start[0]):
             raise NoSolutionError(
                 "the limb points do not lie on a cone about the body", ReasonCode.LIMB_MISFIT
@@ -75,22 +75,22 @@ class LimbModel:
 
     def linearise(self, state: FloatArray) -> Linearisation:
         """The angles from a position (3,). Raises NoSolutionError for one inside the body."""
-        found = _equations(
+        equations = _compute_equations(
             self._stretched, self._lengths, self._stated, self._radii, self._sizes, state, self._cut
         )
-        if not found[2] < np.inf:
+        if not equations[2] < np.inf:
             raise _UNSETTLED.error()
-        return Linearisation(*found)
+        return Linearisation(*equations)
 
 
-def linear_position(directions: ArrayLike, radii_m: ArrayLike) -> FloatArray:
+def solve_linear_position(directions: ArrayLike, radii_m: ArrayLike) -> FloatArray:
     """Position (3,), m, by the linear least squares e . s = 1 alone.
 
     directions (n, 3) to the limb, body frame, any length;  radii_m (3,) semi-axes.
     Raises NoSolutionError when they are no cone about a body.
     """
-    rays, radii = _checked(directions, radii_m)
-    return LimbModel(rays, np.ones(len(rays)), radii, None, np.inf).linear_position()
+    rays, radii = _check_directions(directions, radii_m)
+    return LimbModel(rays, np.ones(len(rays)), radii, None, np.inf).solve_linear()
 
 
 def fit_limb(
@@ -114,17 +114,17 @@ def fit_limb(
     The covariance is that of errors which neighbours share. Raises NoSolutionError for too few
     points, a camera inside the body, or no convergence.
     """
-    rays, radii = _checked(directions, radii_m)
+    rays, radii = _check_directions(directions, radii_m)
     sizes = None if scales is None else np.ascontiguousarray(scales, np.float64)
     model = LimbModel(rays, np.asarray(sigmas, np.float64), radii, sizes, float(cut))
-    start = model.linear_position() if start_m is None else np.array(start_m, np.float64)
+    start = model.solve_linear() if start_m is None else np.array(start_m, np.float64)
     fit = solve([model], start, add, ITERATION)
     azimuths = azimuths_about_nadir(rays, fit.state)
     covariance = azimuth_correlated(fit.measured, fit.noise, azimuths)
     return Estimate(fit.state, covariance, fit.noise, fit.terms)
 
 
-def _checked(directions: ArrayLike, radii_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def _check_directions(directions: ArrayLike, radii_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
     rays = np.ascontiguousarray(directions, dtype=np.float64)
     if rays.ndim != 2 or rays.shape[1] != 3:
         raise ValueError(f"expected directions (n, 3), got {rays.shape}")
@@ -154,7 +154,7 @@ def _stretch(rays: FloatArray, radii: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 @kernel
-def _linear(stretched: FloatArray, weights: FloatArray, radii: FloatArray) -> FloatArray:
+def _solve_linear(stretched: FloatArray, weights: FloatArray, radii: FloatArray) -> FloatArray:
     """The least-squares s of e . s = 1 in the stretched frame, as a position; NaN if it is none."""
     normal, right = np.zeros((3, 3)), np.zeros(3)
     for i in range(stretched.shape[0]):
@@ -177,7 +177,7 @@ def _linear(stretched: FloatArray, weights: FloatArray, radii: FloatArray) -> Fl
 
 
 @kernel
-def _equations(
+def _compute_equations(
     stretched: FloatArray,
     lengths: FloatArray,
     stated: FloatArray,
@@ -248,7 +248,7 @@ class SilhouetteModel:
         return linearised(residuals, self._jacobian, self._weights)
 
 
-def silhouette_step(
+def solve_silhouette_step(
     position: FloatArray,
     offsets: FloatArray,
     rates: FloatArray,

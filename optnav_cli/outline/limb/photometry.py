@@ -29,7 +29,7 @@ NODES_PX = np.array([0.0, 0.05, 0.2, 0.5, 1.0, 1.6, 2.4, 3.4, 4.6, 6.0])
 
 
 @cache
-def power_table() -> FloatArray:
+def get_power_table() -> FloatArray:
     """Table (n, POWERS): integral of x^(k/2) over x > 0 under a unit Gaussian about t.
 
     t from LOWEST to HIGHEST by STEP.
@@ -48,7 +48,7 @@ def power_table() -> FloatArray:
 
 
 @kernel
-def blurred_law(
+def evaluate_blurred_law(
     table: FloatArray, shares: FloatArray, t: float, sigma: float
 ) -> tuple[float, float]:
     """Brightness of a law behind the blur, and its derivative by the distance, by `power_table`.
@@ -57,24 +57,24 @@ def blurred_law(
     t                 distance inside the edge in blur widths
     """
     last = table.shape[0] - 1
-    place = (min(max(t, LOWEST), HIGHEST) - LOWEST) / STEP
-    index = min(int(place), last - 1)
+    row_position = (min(max(t, LOWEST), HIGHEST) - LOWEST) / STEP
+    index = min(int(row_position), last - 1)
     # unsigned: no index counts from the end
     row, next_row = np.uint64(index), np.uint64(index + 1)
     low, high = 0.0, 0.0
     for k in range(POWERS):
         low += shares[k] * table[row, np.uint64(k)]
         high += shares[k] * table[next_row, np.uint64(k)]
-    return low + (place - index) * (high - low), (high - low) / (STEP * sigma)
+    return low + (row_position - index) * (high - low), (high - low) / (STEP * sigma)
 
 
-def series(brightness: FloatArray) -> FloatArray:
+def fit_series(brightness: FloatArray) -> FloatArray:
     """Coefficients (n, POWERS) of the powers of sqrt(x) through brightness (n, NODES_PX)."""
     powers = NODES_PX[:, None] ** (0.5 * np.arange(POWERS))
     return brightness @ np.linalg.pinv(powers).T
 
 
-def laws_across_limb(
+def compute_limb_laws(
     normal: FloatArray,
     ray: FloatArray,
     sun: FloatArray | None,
@@ -94,14 +94,16 @@ def laws_across_limb(
     impact = np.sin(angle - rad_per_px[:, None] * NODES_PX) / math.sin(angle)
     mu = np.sqrt(np.maximum(1.0 - impact**2, 0.0))
     if sun is None:
-        return np.stack([series(law) for law in (np.ones_like(mu), 1.0 + mu, 1.0 + mu**2)])
+        return np.stack([fit_series(law) for law in (np.ones_like(mu), 1.0 + mu, 1.0 + mu**2)])
     # the surface turns toward the camera by arcsin mu; the change of the ray is second to it
     cos_phase = -(ray @ sun)[:, None]
     mu0 = np.sqrt(1.0 - mu**2) * (normal @ sun)[:, None] + mu * cos_phase
-    return np.stack([series(law) for law in three_laws(mu0, mu, cos_phase, cos_mid_phase)])
+    return np.stack(
+        [fit_series(law) for law in evaluate_three_laws(mu0, mu, cos_phase, cos_mid_phase)]
+    )
 
 
-def three_laws(
+def evaluate_three_laws(
     mu0: FloatArray, mu: FloatArray, cos_phase: FloatArray, cos_mid_phase: float
 ) -> list[FloatArray]:
     """Brightness by Hapke, Lommel-Seeliger and Lambert, each 1 where incidence equals emission.

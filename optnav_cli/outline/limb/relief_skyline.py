@@ -16,14 +16,14 @@ from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.estimation.robust import TUKEY, scatter
-from optnav_cli.outline.limb.limb_rays import LimbRays, rough_errors
+from optnav_cli.outline.limb.limb_rays import LimbRays, compute_rough_errors
 from optnav_cli.outline.limb.model import fit_limb
-from optnav_cli.outline.limb.sizes import HorizonSizes, LightSizes, horizon_sizes
+from optnav_cli.outline.limb.sizes import HorizonSizes, LightSizes, load_horizon_sizes
 from optnav_cli.outline.limb.skyline import (
-    Followed,
     SkylineFit,
-    shared_errors,
-    usable_rays,
+    SkylineResult,
+    compute_shared_errors,
+    select_usable_rays,
 )
 from optnav_cli.reasons import ReasonCode
 
@@ -67,32 +67,36 @@ class ReliefSkyline:
         self.sector_sigma_m = sector_sigma_m
 
     def fit(self, rays: LimbRays, position: FloatArray, sun: FloatArray | None) -> SkylineFit:
-        """As `BodySkyline.fit`: a fit to the skyline without its outliers."""
-        sizes, lit, sun_sine = self.sizes_at(position, rays, sun)
-        usable, kept = usable_rays(rays, position, lit, sun_sine)
+        """Fit the skyline without its outliers; see `BodySkyline.fit`."""
+        sizes, lit, sun_sine = self.predict_sizes(position, rays, sun)
+        usable, kept = select_usable_rays(rays, position, lit, sun_sine)
         sizes, radii = sizes[usable], np.full(3, self.limb.radius_m)
         sigmas = np.hypot(
-            kept.own_sigmas(self.light), self.crest_noise_m / self._distance(position)
+            kept.compute_point_sigmas(self.light),
+            self.crest_noise_m / self._measure_limb_distance(position),
         )
         least = MIN_CUT_PX * float(np.median(kept.pixel_angle))
         fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=position)
         for _ in range(2):
             cut = max(TUKEY * scatter(fit.measured.residuals), least)
             fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=fit.state, cut=cut)
-        azimuths, distance = kept.azimuths(fit.state), self._distance(fit.state)
+        azimuths, distance = (
+            kept.compute_azimuths(fit.state),
+            self._measure_limb_distance(fit.state),
+        )
         made = SkylineFit(fit, kept, azimuths, sun_sine[usable], distance, misfit=np.inf)
-        shared = shared_errors(self, made, self.light)
-        rough = rough_errors(kept, azimuths, self.light)
+        shared = compute_shared_errors(self, made, self.light)
+        rough = compute_rough_errors(kept, azimuths, self.light)
         expected = np.sqrt(sigmas**2 + (shared**2).sum(axis=1) + (rough**2).sum(axis=1))
         return made._replace(misfit=scatter(fit.measured.residuals / expected))
 
-    def stands_still(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
+    def has_converged(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
         """Whether a step (3,), m, is too small for another pass."""
         sigma = float(np.sqrt(np.trace(estimate.covariance)))
         return float(np.linalg.norm(step)) < max(STILL_M, STILL_SIGMAS * sigma)
 
-    def check(self, last: Followed) -> None:
-        """As `BodySkyline.check`."""
+    def check(self, last: SkylineResult) -> None:
+        """Raise NoSolutionError for a misfit or no convergence; see `BodySkyline.check`."""
         if last.fit.misfit > MAX_MISFIT:
             raise NoSolutionError(
                 f"the limb is not the skyline of {self._body_name}'s relief: it scatters by "
@@ -107,14 +111,14 @@ class ReliefSkyline:
                 ReasonCode.NOT_SETTLED,
             )
 
-    def _distance(self, position: FloatArray) -> float:
-        """From a position (3,) to where the sphere's limb lies, m."""
+    def _measure_limb_distance(self, position: FloatArray) -> float:
+        """Measure the distance from a position (3,) to the sphere's limb, m."""
         return float(np.sqrt(max(float(position @ position) - self.limb.radius_m**2, 1.0)))
 
-    def sizes_at(
+    def predict_sizes(
         self, position: FloatArray, rays: LimbRays, sun_body: FloatArray | None
     ) -> tuple[FloatArray, BoolArray, FloatArray]:
-        """The skyline from a position (3,), m, at the azimuth of each ray.
+        """Predict the skyline from a position (3,), m, at the azimuth of each ray.
 
         sun_body (3,) towards the Sun, any length; None: all is taken as lit
         Returns, each (n,): the radius of the sphere that a ray on the skyline would touch, in
@@ -124,7 +128,7 @@ class ReliefSkyline:
         ground = self.limb
         distance = float(np.linalg.norm(position))
         axes = nadir_axes(position)
-        rays_at = rays.azimuths(position)
+        rays_at = rays.compute_azimuths(position)
         # a turn of azimuth moves the crest by R sin(range) and the line of sight by sin(off nadir)
         sine = min(ground.radius_m / distance, 1.0)
         circle = ground.radius_m * np.sqrt(1.0 - sine * sine)
@@ -132,15 +136,17 @@ class ReliefSkyline:
         spacing = max(0.5 * ground.posting_m, min(0.5 * blur * circle, ground.posting_m))
         count = max(360, int(np.ceil(2.0 * np.pi * circle / spacing)))
         step = 2.0 * np.pi / count
-        place = np.mod(rays_at, 2.0 * np.pi) / step
-        wanted = _near(np.floor(place).astype(np.int64), count, int(np.ceil(4.0 * blur / step)) + 1)
+        cell = np.mod(rays_at, 2.0 * np.pi) / step
+        wanted = _mark_near(
+            np.floor(cell).astype(np.int64), count, int(np.ceil(4.0 * blur / step)) + 1
+        )
         azimuths = np.flatnonzero(wanted) * step
         line = ground.skyline(position, axes, azimuths)
         table = np.full(count, float(line.off_nadir.mean()))
         table[wanted] = line.off_nadir
         table = gaussian_filter1d(table, blur / step, mode="wrap")
-        left = np.floor(place).astype(np.int64) % count
-        share = place - np.floor(place)
+        left = np.floor(cell).astype(np.int64) % count
+        share = cell - np.floor(cell)
         off_nadir = (1.0 - share) * table[left] + share * table[(left + 1) % count]
         lit, sun_sine = np.ones(count, np.bool_), np.ones(count)
         if sun_body is not None:
@@ -154,11 +160,11 @@ class ReliefSkyline:
 
 
 @lru_cache(maxsize=2)
-def relief_skyline(
+def make_relief_skyline(
     relief: GlobalRelief, body_name: str, other: HorizonSizes | None = None
 ) -> ReliefSkyline:
-    """The relief made ready for skylines, once for all frames; with other sizes to score them."""
-    sizes, light = (other or horizon_sizes()).crest, None if other is None else other.light
+    """Prepare the relief for skylines, once for all frames; with other sizes to score them."""
+    sizes, light = (other or load_horizon_sizes()).crest, None if other is None else other.light
     cells = relief.posting_m / sizes.posting_m
     noise, sigma = sizes.noise_m * cells, sizes.sigma_m * cells
     sector = sizes.model_sector * (relief.error_m or 0.0)
@@ -173,8 +179,8 @@ def relief_skyline(
     return ReliefSkyline(LimbRelief(relief, share), body_name, noise, sigma, sector, light)
 
 
-def _near(places: IntArray, count: int, reach: int) -> BoolArray:
-    """Which of `count` places round a circle lie within `reach` of some of these."""
+def _mark_near(places: IntArray, count: int, reach: int) -> BoolArray:
+    """Mark those of `count` cells round a circle that lie within `reach` of one of these."""
     hit = np.zeros(count, np.int64)
     hit[places % count] = 1
     if 2 * reach + 2 >= count:

@@ -25,9 +25,9 @@ from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.estimation.robust import scatter
 from optnav_cli.outline.limb.detection import RELIEF
 from optnav_cli.outline.limb.limb_rays import LimbRays
-from optnav_cli.outline.limb.model import silhouette_step
-from optnav_cli.outline.limb.sizes import horizon_sizes
-from optnav_cli.outline.limb.skyline import Followed, SkylineFit, usable_rays
+from optnav_cli.outline.limb.model import solve_silhouette_step
+from optnav_cli.outline.limb.sizes import load_horizon_sizes
+from optnav_cli.outline.limb.skyline import SkylineFit, SkylineResult, select_usable_rays
 from optnav_cli.reasons import ReasonCode
 
 SHAPE_SHARE = 0.05  # of the radius, highest to lowest: the Moon has 0.011, Phobos 0.5
@@ -66,27 +66,27 @@ class ShapeSkyline:
 
     crest_noise_m   of a single crest
     clearance_m     ground by which a crest may miss the Sun and still be taken as lit
+    cell_m          size of the shape's cells
     """
 
     max_passes = MAX_PASSES
     must_converge = True
 
     def __init__(self, limb: LimbRelief, cell_m: float) -> None:
-        """Of cells of a size, m."""
-        self.limb, sizes = limb, horizon_sizes().shape
+        self.limb, sizes = limb, load_horizon_sizes().shape
         self.crest_noise_m = sizes.crest_noise * cell_m
         self.crest_sigma_m = sizes.lift * sizes.lift_sigma * cell_m
         self.sector_sigma_m = sizes.sector_noise * cell_m
         self.clearance_m = SHADOW_CLEARANCE * cell_m
 
     def fit(self, rays: LimbRays, position: FloatArray, sun: FloatArray | None) -> SkylineFit:
-        """As `BodySkyline.fit`: one Gauss-Newton step."""
-        line = self.silhouette(position, rays, sun)
-        usable, kept = usable_rays(rays, position, line.usable, line.sun_sine)
-        azimuths, ranges = kept.azimuths(position), line.ranges[usable]
-        sigmas = np.hypot(kept.own_sigmas(), self.crest_noise_m / ranges)
+        """Make one Gauss-Newton step; see `BodySkyline.fit`."""
+        line = self.predict_silhouette(position, rays, sun)
+        usable, kept = select_usable_rays(rays, position, line.usable, line.sun_sine)
+        azimuths, ranges = kept.compute_azimuths(position), line.ranges[usable]
+        sigmas = np.hypot(kept.compute_point_sigmas(), self.crest_noise_m / ranges)
         least_cut = MIN_CUT_PX * float(np.median(kept.pixel_angle))
-        fit = silhouette_step(
+        fit = solve_silhouette_step(
             position, line.offsets[usable], line.rates[usable], sigmas, azimuths, least_cut
         )
         if float(np.linalg.norm(fit.state)) <= self.limb.radius_m:
@@ -95,12 +95,12 @@ class ShapeSkyline:
         distance, misfit = float(np.median(ranges)), scatter(fit.measured.residuals / sigmas)
         return SkylineFit(fit, kept, azimuths, line.sun_sine[usable], distance, misfit)
 
-    def stands_still(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
+    def has_converged(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
         """Whether a step (3,), m, is too small for another pass."""
         return squared_distance(step, estimate.covariance) < STILL_SIGMAS**2
 
-    def check(self, last: Followed) -> None:
-        """As `BodySkyline.check`."""
+    def check(self, last: SkylineResult) -> None:
+        """Raise NoSolutionError for a misfit or no convergence; see `BodySkyline.check`."""
         if not last.settled:
             raise NoSolutionError(
                 f"the position still moves by {last.moved_m:.0f} m after {last.passes} passes over "
@@ -123,10 +123,10 @@ class ShapeSkyline:
                 ReasonCode.LIMB_MISFIT,
             )
 
-    def silhouette(
+    def predict_silhouette(
         self, position: FloatArray, rays: LimbRays, sun_body: FloatArray | None
     ) -> Silhouette:
-        """The silhouette from a position (3,), m, body frame, beside the rays.
+        """Predict the silhouette from a position (3,), m, body frame, at the rays.
 
         sun_body (3,) towards the Sun, any length; None: all is taken as lit
         """
@@ -145,15 +145,15 @@ class ShapeSkyline:
         to_crest = np.sqrt(
             distance**2 + line.radius_m**2 - 2.0 * distance * line.radius_m * np.cos(line.range)
         )
-        rays_at = rays.azimuths(position)
-        place = np.mod(rays_at, 2.0 * np.pi) / step
-        left = np.floor(place).astype(np.int64) % count
-        right, share = (left + 1) % count, place - np.floor(place)
+        rays_at = rays.compute_azimuths(position)
+        cell = np.mod(rays_at, 2.0 * np.pi) / step
+        left = np.floor(cell).astype(np.int64) % count
+        right, share = (left + 1) % count, cell - np.floor(cell)
 
-        def between(values: FloatArray) -> FloatArray:
+        def interpolate(values: FloatArray) -> FloatArray:
             return (1.0 - share) * values[left] + share * values[right]
 
-        off_nadir, lean, ranges = between(curve), between(slope), between(to_crest)
+        off_nadir, lean, ranges = interpolate(curve), interpolate(slope), interpolate(to_crest)
         # unit vectors of the silhouette's points: up the azimuth, and along it
         across = np.cos(rays_at)[:, None] * axes[0] + np.sin(rays_at)[:, None] * axes[1]
         aside = np.cos(rays_at)[:, None] * axes[1] - np.sin(rays_at)[:, None] * axes[0]
@@ -182,9 +182,11 @@ def is_shape(relief: GlobalRelief) -> bool:
     return relief.span_m > SHAPE_SHARE * relief.radius_m
 
 
-def relief_fraction(body: Body) -> float:
-    """How far a limb may lie off the body's smooth one, in mean radii: half of what its highest
-    place may, for a body whose ground is a shape; that of Phobos' 2 deg model is 0.05 rms.
+def estimate_relief_fraction(body: Body) -> float:
+    """Estimate how far a limb may lie off the body's smooth one, in mean radii.
+
+    For a body whose ground is a shape: half of what its highest ground may; the limb of Phobos'
+    2 deg model is 0.05 rms off.
     """
     beyond = body.radius_m + body.plausible_heights_m[1] - max(body.radii_m)
     share = beyond / body.radius_m
@@ -192,9 +194,9 @@ def relief_fraction(body: Body) -> float:
 
 
 @lru_cache(maxsize=2)
-def shape_skyline(relief: GlobalRelief) -> ShapeSkyline:
-    """The shape made ready for silhouettes, once for all frames."""
+def make_shape_skyline(relief: GlobalRelief) -> ShapeSkyline:
+    """Prepare the shape for silhouettes, once for all frames."""
     # of slopes as steep as these the tops say how a cell leans, not what stands up in it
-    lifted = relief.heights + np.float32(horizon_sizes().shape.lift * relief.posting_m)
+    lifted = relief.heights + np.float32(load_horizon_sizes().shape.lift * relief.posting_m)
     ground = GlobalRelief(lifted, lifted, relief.radius_m, relief.source)
     return ShapeSkyline(LimbRelief(ground, 0.0), relief.posting_m)

@@ -61,6 +61,6 @@ class HorizonSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @cache
-def horizon_sizes() -> HorizonSizes:
+def load_horizon_sizes() -> HorizonSizes:
     """The sizes that ship with optnav. Raises ConfigError for a wrong file."""
     return load_toml(resource(FILE), HorizonSizes)

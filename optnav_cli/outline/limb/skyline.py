@@ -13,10 +13,10 @@ from optnav_cli.estimation.consider import considered, with_shared_errors
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.outline.limb.limb_rays import (
     LimbRays,
-    edge_errors,
-    in_sectors,
+    compute_edge_errors,
+    compute_rough_errors,
+    group_by_sector,
     require_arc,
-    rough_errors,
 )
 from optnav_cli.outline.limb.sizes import LightSizes
 
@@ -50,8 +50,8 @@ class SkylineFit(NamedTuple):
     misfit: float
 
 
-class Followed(NamedTuple):
-    """The last of the passes over a skyline.
+class SkylineResult(NamedTuple):
+    """Result of the last pass over a skyline.
 
     passes   how many were made;  moved_m  by the last of them
     settled  whether it left the position where it was
@@ -78,34 +78,34 @@ class BodySkyline(Protocol):
     sector_sigma_m: float
 
     def fit(self, rays: LimbRays, position: FloatArray, sun: FloatArray | None) -> SkylineFit:
-        """The position (3,), m, that fits the skyline as predicted from another one.
+        """Fit a position (3,), m, to the skyline as predicted from another one.
 
         sun (3,) towards the Sun, any length; None: all is taken as lit
 
         Raises NoSolutionError when too little of the limb is lit.
         """
 
-    def stands_still(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
+    def has_converged(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
         """Whether a step (3,), m, is too small for another pass."""
 
-    def check(self, last: Followed) -> None:
+    def check(self, last: SkylineResult) -> None:
         """Raises NoSolutionError when the limb is not this skyline or does not settle on it."""
 
 
-def usable_rays(
+def select_usable_rays(
     rays: LimbRays, position: FloatArray, lit: BoolArray, sun_sine: FloatArray
 ) -> tuple[BoolArray, LimbRays]:
-    """Which rays (n,) the Sun lights well enough, and these. Raises NoSolutionError for few."""
+    """Select rays (n,) that the Sun lights: mask and rays. Raises NoSolutionError for few."""
     usable = lit & (sun_sine > MIN_SUN_SINE)
     kept = rays.subset(usable)
-    require_arc(kept.azimuths(position))
+    require_arc(kept.compute_azimuths(position))
     return usable, kept
 
 
-def follow(
+def fit_repeatedly(
     skyline: BodySkyline, rays: LimbRays, start_m: FloatArray, sun: FloatArray | None
-) -> Followed:
-    """Passes over a skyline from a first position (3,) till it stands still, or too many."""
+) -> SkylineResult:
+    """Predict and fit a skyline from a first position (3,) until it converges or passes run out."""
     position, moved, passes = start_m, np.inf, 0
     while True:
         passes += 1
@@ -115,36 +115,38 @@ def follow(
         position = fit.estimate.state
         if not skyline.must_converge and passes > 1:
             step = step * min(1.0, RATE_MARGIN * moved / before)
-        if skyline.stands_still(step, fit.estimate):
-            return Followed(fit, passes, moved, True)
+        if skyline.has_converged(step, fit.estimate):
+            return SkylineResult(fit, passes, moved, True)
         slow = skyline.must_converge and passes > SETTLING_PASSES
         if passes == skyline.max_passes or (slow and moved > MAX_MOVE_SHARE * before):
-            return Followed(fit, passes, moved, False)
+            return SkylineResult(fit, passes, moved, False)
 
 
-def with_limb_errors(
+def add_limb_errors(
     skyline: BodySkyline, fit: SkylineFit, light: LightSizes | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Position (3,), m, and covariance (3, 3) with what limb points and crests have wrong together.
+    """Return position (3,), m, and covariance (3, 3) with common errors of limb points and crests.
 
     The attitude's error is not in it.  light  as `edge_errors`
     """
-    position, covariance = with_shared_errors(fit.estimate, shared_errors(skyline, fit, light))
+    position, covariance = with_shared_errors(
+        fit.estimate, compute_shared_errors(skyline, fit, light)
+    )
     # not solved for: they look like a shift of the position on a part of the limb
-    rough = rough_errors(fit.rays, fit.azimuths, light)
+    rough = compute_rough_errors(fit.rays, fit.azimuths, light)
     gain = fit.estimate.measured.gain(fit.estimate.noise)
     return position, covariance + considered(gain, rough)
 
 
-def shared_errors(
+def compute_shared_errors(
     skyline: BodySkyline, fit: SkylineFit, light: LightSizes | None = None
 ) -> FloatArray:
-    """What limb points and crests have wrong together: (n, m) rad, one sigma of each error.
+    """Compute the common errors of limb points and crests: (n, m) rad, one sigma of each.
 
     light  as `edge_errors`
     """
     crests = np.full((len(fit.rays), 1), skyline.crest_sigma_m / fit.distance_m)
-    errors = [edge_errors(fit.rays, fit.azimuths, fit.sun_sine, light), crests]
+    errors = [compute_edge_errors(fit.rays, fit.azimuths, fit.sun_sine, light), crests]
     if skyline.sector_sigma_m > 0.0:
-        errors.append(in_sectors(fit.azimuths) * (skyline.sector_sigma_m / fit.distance_m))
+        errors.append(group_by_sector(fit.azimuths) * (skyline.sector_sigma_m / fit.distance_m))
     return np.concatenate(errors, axis=1)

@@ -45,7 +45,7 @@ class SunSide:
         return self.angle > DISAGREE_SIGMAS * self.sigma
 
 
-def sun_side_angle(limb: LimbPoints, rays: FloatArray, sun_camera: FloatArray) -> SunSide:
+def measure_sun_side(limb: LimbPoints, rays: FloatArray, sun_camera: FloatArray) -> SunSide:
     """Compare the lit side of a limb with the Sun's direction.
 
     limb        found without the Sun, which else would have chosen the side
@@ -66,8 +66,8 @@ def sun_side_angle(limb: LimbPoints, rays: FloatArray, sun_camera: FloatArray) -
     return SunSide(float(np.arccos(np.clip(cosine, -1.0, 1.0))), float(min(sigma / sine, np.pi)))
 
 
-def lit_share(limb: LimbPoints, camera: Camera) -> float | None:
-    """Share of a whole disc that is lit; None where the frame cuts it or it is too small or near.
+def measure_lit_share(limb: LimbPoints, camera: Camera) -> float | None:
+    """Measure a whole disc's lit share; None where the frame cuts it or it is too small or near.
 
     limb  of a sphere, found without the Sun
     """
@@ -88,19 +88,19 @@ def lit_share(limb: LimbPoints, camera: Camera) -> float | None:
     return limb.lit_pixels / (area * (1.0 + RIM_BLUR_PX / radius) ** 2)
 
 
-def rejection_of_sun(limb: LimbPoints, camera: Camera, sun_camera: FloatArray) -> str:
-    """What is wrong with the Sun that a limb is lit by, in words; empty when nothing is.
+def describe_wrong_sun(limb: LimbPoints, camera: Camera, sun_camera: FloatArray) -> str:
+    """Describe how a limb contradicts the stated Sun; empty when it does not.
 
     limb        of a sphere, found without the Sun, which else would have chosen the side
     sun_camera  (3,) unit vector to the Sun
     """
-    side = sun_side_angle(limb, camera.unproject(limb.pixels), sun_camera)
+    side = measure_sun_side(limb, camera.unproject(limb.pixels), sun_camera)
     if side.disagrees:
         return (
             f"the lit side of the body is {np.degrees(side.angle):.0f} deg from where attitude "
             f"and time put the Sun (sigma {np.degrees(side.sigma):.0f} deg)"
         )
-    share = lit_share(limb, camera)
+    share = measure_lit_share(limb, camera)
     expected = 0.5 * (1.0 - float(limb.cone_axis_camera @ sun_camera))
     if share is not None and abs(share - expected) > SHARE_LIMIT:
         return (

@@ -79,7 +79,7 @@ def draw_shape(
     ground = (faces >= 0).reshape(nodes, nodes)
     light = flat.reshape(nodes, nodes)
     distance = np.where(ground, depth.reshape(nodes, nodes), np.inf)
-    rows, cols, shift, outward, outer = _edges(
+    rows, cols, shift, outward, outer = _find_drawn_edges(
         ground, distance, light, step / camera.focal_length_px
     )
     at = rows * nodes + cols
@@ -90,10 +90,10 @@ def draw_shape(
     return DrawnShape(pixels, light, step, surface, edges, outward, places, outer)
 
 
-def _edges(
+def _find_drawn_edges(
     ground: BoolArray, distance: FloatArray, light: Float32Array, angle: float
 ) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray, BoolArray]:
-    """Rows, columns, places beside them (n, 2) in steps, directions out, and which are outer.
+    """Find edge nodes: rows, columns, shifts (n, 2), outward directions, which are outer.
 
     angle  of a step of the grid, rad
     """
@@ -104,10 +104,10 @@ def _edges(
     far = np.pad(distance, 1, constant_values=np.inf)
     around = np.maximum.reduce([far[:-2, 1:-1], far[2:, 1:-1], far[1:-1, :-2], far[1:-1, 2:]])
     jump = JUMP_STEPS * angle * nearest
-    found = ground & (around > distance + jump)
-    found[[0, -1]] = found[:, [0, -1]] = False
-    found[1], found[-2], found[:, 1], found[:, -2] = False, False, False, False
-    rows, cols = np.nonzero(found)
+    is_edge = ground & (around > distance + jump)
+    is_edge[[0, -1]] = is_edge[:, [0, -1]] = False
+    is_edge[1], is_edge[-2], is_edge[:, 1], is_edge[:, -2] = False, False, False, False
+    rows, cols = np.nonzero(is_edge)
     # near ground in the 5 x 5 nodes about each edge node: the edge runs across its lean
     window = np.arange(-2, 3)
     down, along = np.meshgrid(window, window, indexing="ij")
@@ -115,9 +115,9 @@ def _edges(
     near = about < distance[rows, cols][:, None, None] + jump
     lean = np.stack([(near * along).sum(axis=(1, 2)), (near * down).sum(axis=(1, 2))], axis=1)
     length = np.linalg.norm(lean, axis=1)
-    whole = length > 2.0  # thin spikes have no direction
-    rows, cols, outward = rows[whole], cols[whole], -lean[whole] / length[whole, None]
-    behind = np.isinf(np.where(near[whole], np.inf, about[whole]))
+    directed = length > 2.0  # thin spikes have no direction
+    rows, cols, outward = rows[directed], cols[directed], -lean[directed] / length[directed, None]
+    behind = np.isinf(np.where(near[directed], np.inf, about[directed]))
     outer: BoolArray = np.asarray(behind.all(axis=(1, 2)))
     shift = np.full((len(rows), 2), 0.5) * outward
     smooth = cv2.GaussianBlur(ground.astype(np.float32), (0, 0), SMOOTH)
@@ -134,11 +134,11 @@ def _edges(
     outward[good] = -slope[good] / np.sqrt(square[good])[:, None]
     start = np.stack([cols, rows], axis=1).astype(np.float64)
 
-    def looked_at(steps: tuple[float, float], sign: float) -> FloatArray:
-        values = [_sampled(light, start + sign * far_off * outward) for far_off in steps]
+    def sample_light(steps: tuple[float, float], sign: float) -> FloatArray:
+        values = [_sample(light, start + sign * far_off * outward) for far_off in steps]
         return np.array(values)
 
-    inside, outside = looked_at(INSIDE, -1.0), looked_at(OUTSIDE, 1.0)
+    inside, outside = sample_light(INSIDE, -1.0), sample_light(OUTSIDE, 1.0)
     bright = light[light > 0.0]
     middle = float(np.median(bright)) if bright.size else np.inf
     use: BoolArray = np.asarray(
@@ -148,18 +148,18 @@ def _edges(
     return rows[use], cols[use], shift[use], outward[use], outer[use]
 
 
-def _sampled(values: Float32Array, places: FloatArray) -> FloatArray:
-    """Values (n) between pixels (n, 2), x and y; those of the border beyond it."""
+def _sample(values: Float32Array, places: FloatArray) -> FloatArray:
+    """Interpolate values (n,) at pixels (n, 2), x and y; beyond the border the nearest value."""
     x, y = (np.ascontiguousarray(places[:, k], np.float32)[None] for k in range(2))
-    found = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    sampled: FloatArray = found[0].astype(np.float64)
+    row = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    sampled: FloatArray = row[0].astype(np.float64)
     return sampled
 
 
 def find_edges(
     picture: Float32Array, drawn: DrawnShape, reach_px: float, sky: float, threshold: float
 ) -> FloatArray:
-    """How far (n) px out of its drawn place the picture shows each edge; NaN where it does not.
+    """Measure how far (n,) outward of its drawn position each edge lies, px; NaN where unseen.
 
     picture  counts, blurred as a gradient wants it;  reach_px  searched on either side
     sky, threshold  counts of the sky, and above which a pixel is lit
@@ -188,49 +188,49 @@ def find_edges(
     lit = inside > threshold
     # the last fall to the sky of an outer edge; of an inner one the greatest, nearer ones first
     strong = lit & (fall > 0.5 * (inside - sky)) & (beyond < threshold)
-    place = np.abs(offsets[middle]) / max(reach_px, 1.0)
-    score = np.where(lit, fall * (1.0 - 0.5 * place**2), -np.inf)
+    distance = np.abs(offsets[middle]) / max(reach_px, 1.0)
+    score = np.where(lit, fall * (1.0 - 0.5 * distance**2), -np.inf)
     top = np.nanmax(np.where(strong & drawn.outer[:, None], fall, np.nan), axis=1, initial=-np.inf)
     outermost = strong & (fall > 0.7 * top[:, None]) & drawn.outer[:, None]
     last = middle.size - 1 - outermost[:, ::-1].argmax(axis=1)
     greatest = np.where(np.isfinite(score), score, -np.inf).argmax(axis=1)
     chosen = np.where(drawn.outer, last, greatest)
     every = np.arange(n)
-    found = np.where(
+    has_edge = np.where(
         drawn.outer,
         outermost.any(axis=1),
         fall[every, chosen] > 0.3 * (inside[every, chosen] - sky),
     )
     level = np.asarray(0.5 * (inside[every, chosen] + beyond[every, chosen]), dtype=np.float64)
     steps = np.asarray(offsets, dtype=np.float64)
-    return _crossing(profile, steps, middle[chosen], level, found, most)
+    return _find_crossings(profile, steps, middle[chosen], level, has_edge, most)
 
 
-def _crossing(
+def _find_crossings(
     profile: FloatArray,
     offsets: FloatArray,
     chosen: IndexArray,
     level: FloatArray,
-    found: BoolArray,
+    has_edge: BoolArray,
     room: int,
 ) -> FloatArray:
-    """Where profiles (n, m) fall through levels (n) nearest to chosen nodes (n); NaN for none."""
+    """Find where profiles (n, m) fall through levels (n,) nearest to chosen nodes (n,), or NaN."""
     best = np.full(len(profile), np.nan)
-    away = np.full(len(profile), np.inf)
+    steps_off = np.full(len(profile), np.inf)
     every = np.arange(len(profile))
     for k in range(-room, room):
         here, after = profile[every, chosen + k], profile[every, chosen + k + 1]
-        through = found & (here >= level) & (after < level) & (abs(k + 0.5) < away)
+        through = has_edge & (here >= level) & (after < level) & (abs(k + 0.5) < steps_off)
         share = (here - level) / np.where(through, here - after, 1.0)
         best = np.where(through, offsets[chosen + k] + PROFILE_STEP * share, best)
-        away = np.where(through, abs(k + 0.5), away)
+        steps_off = np.where(through, abs(k + 0.5), steps_off)
     return best
 
 
 def match_light(
     picture: Float32Array, drawn: DrawnShape, reach: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Places (n, 3) m of pieces of the shape, and where their light is found: px (n, 2) aside.
+    """Match pieces of the shape: surface points (n, 3), m, and their offsets (n, 2), px.
 
     picture  counts;  reach  steps of the grid that each piece is searched to all sides
 
@@ -245,10 +245,10 @@ def match_light(
     places, moves = [], []
     for row in range(border, len(wanted) - border, PIECE_STEP):
         for col in range(border, len(wanted) - border, PIECE_STEP):
-            place = drawn.surface[row, col]
+            point = drawn.surface[row, col]
             piece = wanted[row - PIECE : row + PIECE + 1, col - PIECE : col + PIECE + 1]
             lit = (piece > MIN_LIGHT * middle).mean()
-            if not np.isfinite(place).all() or lit < MIN_LIT:
+            if not np.isfinite(point).all() or lit < MIN_LIT:
                 continue
             if piece.std() < MIN_CONTRAST * middle:
                 continue
@@ -259,14 +259,13 @@ def match_light(
                 continue
             across = np.asarray(scores[v, u - 1 : u + 2], dtype=np.float64)
             down = np.asarray(scores[v - 1 : v + 2, u], dtype=np.float64)
-            moves.append([u - reach + _vertex(across), v - reach + _vertex(down)])
-            places.append(place)
-    found = np.reshape(places, (-1, 3)), drawn.step * np.reshape(moves, (-1, 2))
-    return found
+            moves.append([u - reach + _find_vertex(across), v - reach + _find_vertex(down)])
+            places.append(point)
+    return np.reshape(places, (-1, 3)), drawn.step * np.reshape(moves, (-1, 2))
 
 
-def _vertex(three: FloatArray) -> float:
-    """Where the parabola through three scores, the middle one the highest, is highest."""
+def _find_vertex(three: FloatArray) -> float:
+    """Find the maximum of the parabola through three scores, the middle one the highest."""
     before, here, after = (float(value) for value in three)
     bend = before - 2.0 * here + after
     return 0.5 * (before - after) / bend if bend < 0.0 else 0.0

@@ -60,7 +60,7 @@ FILE = "configs/models/silhouette.toml"
 
 
 class SilhouetteErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the file says beside each number."""
+    """Fitted errors; FILE explains each number."""
 
     absorbed: Positive
     edge_px: Positive
@@ -69,12 +69,12 @@ class SilhouetteErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @lru_cache(maxsize=1)
-def _errors() -> SilhouetteErrors:
+def _load_errors() -> SilhouetteErrors:
     return load_toml(resource(FILE), SilhouetteErrors)
 
 
 class _EdgeFit(NamedTuple):
-    """What one round measured, a number a row, and the small turn and move that follow.
+    """Measurements of one round, one per row, and the pose change that follows.
 
     rows     (n, 6) of px by position, m, and rotation, rad, camera frame
     offsets  (n,) px from the drawn place;  weights (n,);  groups (n,) that err together
@@ -100,53 +100,53 @@ class _Step(NamedTuple):
 
 
 @lru_cache(maxsize=2)
-def _mesh(relief: GlobalRelief) -> MeshRays:
+def _make_mesh(relief: GlobalRelief) -> MeshRays:
     return mesh_of_relief(relief)
 
 
 def navigate(
     picture: Picture, view: CameraView, body: Body, relief: GlobalRelief, lit: Segmented
 ) -> Fix:
-    """The camera's pose from the edges of the body's shape.
+    """Solve the camera's pose from the edges of the body's shape.
 
     Raises NoSolutionError where the picture does not show the shape, or not as it should look.
     """
     clean = without_smear(lit.picture, lit.levels)
     if clean is not None:
         lit = Segmented(clean)
-    mesh, levels = _mesh(relief), lit.levels
-    mask = _lit_mask(lit)
+    mesh, levels = _make_mesh(relief), lit.levels
+    mask = _find_lit_mask(lit)
     # the lit shape is whole: pixels without a value lie beside it
     values = np.nan_to_num(lit.picture, nan=levels.sky)
-    position = _by_moments(mask, mesh, view)
+    position = _solve_by_moments(mask, mesh, view)
     turn = view.camera_from_body
     smooth = np.asarray(cv2.GaussianBlur(values, (0, 0), 0.7), dtype=np.float32)
     turned = np.zeros(3)
     across = 2.0 * mesh.reach_m / float(np.linalg.norm(position)) * view.camera.focal_length_px
     for share in REACHES:
         reach = max(share * across, MIN_REACH_PX)
-        last = _follow(smooth, mesh, view, turn, position, levels, reach, turned)
-        position, turn, turned = _moved(position, turn, turned, last.fit.change)
+        last = _fit_edges(smooth, mesh, view, turn, position, levels, reach, turned)
+        position, turn, turned = _move_pose(position, turn, turned, last.fit.change)
     _check(values, last, mesh, view, turn, position, across)
     light = None
     for steps in LIGHT_REACHES:
-        found = _by_light(values, mesh, view, turn, position, steps, turned)
-        if found is None:
+        light_fit = _fit_light(values, mesh, view, turn, position, steps, turned)
+        if light_fit is None:
             break
-        light = found
-        position, turn, turned = _moved(position, turn, turned, light.change)
-    return _fix(last, light or last.fit, turn, position, view)
+        light = light_fit
+        position, turn, turned = _move_pose(position, turn, turned, light.change)
+    return _make_fix(last, light or last.fit, turn, position, view)
 
 
-def _moved(
+def _move_pose(
     position: FloatArray, turn: Rotation, turned: FloatArray, change: FloatArray
 ) -> tuple[FloatArray, Rotation, FloatArray]:
     turn = Rotation.from_rotvec(change[3:]) * turn
     return position + change[:3], turn, turned + change[3:]
 
 
-def _lit_mask(lit: Segmented) -> BoolArray:
-    """The body's lit pixels; raises NoSolutionError for a body that is small or cut."""
+def _find_lit_mask(lit: Segmented) -> BoolArray:
+    """Find the body's lit pixels. Raises NoSolutionError for a body that is small or cut."""
     blobs = lit.blobs
     if not len(blobs):
         raise NoSolutionError("nothing lit stands out of the sky", ReasonCode.NO_BODY)
@@ -162,15 +162,15 @@ def _lit_mask(lit: Segmented) -> BoolArray:
     return mask
 
 
-def _by_moments(mask: BoolArray, mesh: MeshRays, view: CameraView) -> FloatArray:
-    """A coarse position (3,): the drawn lit shape has the centre and area of the mask."""
+def _solve_by_moments(mask: BoolArray, mesh: MeshRays, view: CameraView) -> FloatArray:
+    """Find a coarse position (3,) whose drawn lit shape has the centre and area of the mask."""
     camera, turn = view.camera, view.camera_from_body
     rows, cols = np.nonzero(mask)
     centre, area = np.array([cols.mean(), rows.mean()]), float(mask.sum())
     towards = centre.copy()
     distance = 0.5 * mesh.reach_m * camera.focal_length_px / np.sqrt(area / np.pi)
     for _ in range(COARSE_ROUNDS):
-        position = _placed(camera, turn, towards, distance)
+        position = _place_camera(camera, turn, towards, distance)
         half = ROOM * mesh.reach_m / distance * camera.focal_length_px
         box = float(towards[0]), float(towards[1]), half
         drawn = draw_shape(mesh, camera, turn, position, view.sun_body, box, COARSE_NODES)
@@ -181,10 +181,12 @@ def _by_moments(mask: BoolArray, mesh: MeshRays, view: CameraView) -> FloatArray
             )
         towards = towards + centre - drawn.pixels[bright].mean(axis=0)
         distance *= float(np.clip(np.sqrt(bright.sum() * drawn.step**2 / area), 0.5, 2.0))
-    return _placed(camera, turn, towards, distance)
+    return _place_camera(camera, turn, towards, distance)
 
 
-def _placed(camera: Camera, turn: Rotation, towards: FloatArray, distance: float) -> FloatArray:
+def _place_camera(
+    camera: Camera, turn: Rotation, towards: FloatArray, distance: float
+) -> FloatArray:
     ray = camera.unproject(towards)
     if not np.isfinite(ray).all():
         raise NoSolutionError("the lens has no ray for the lit shape", ReasonCode.BAD_PICTURE)
@@ -192,8 +194,8 @@ def _placed(camera: Camera, turn: Rotation, towards: FloatArray, distance: float
     return position
 
 
-def _drawn(mesh: MeshRays, view: CameraView, turn: Rotation, position: FloatArray) -> DrawnShape:
-    """The shape at a pose, on a grid of a pixel's width where it is not too large."""
+def _draw(mesh: MeshRays, view: CameraView, turn: Rotation, position: FloatArray) -> DrawnShape:
+    """Draw the shape at a pose on a grid of one pixel, or coarser for a large shape."""
     camera, distance = view.camera, float(np.linalg.norm(position))
     x, y = camera.project(turn.apply(-position))
     if not np.isfinite([x, y]).all() or distance < 1.2 * mesh.reach_m:
@@ -203,7 +205,7 @@ def _drawn(mesh: MeshRays, view: CameraView, turn: Rotation, position: FloatArra
     return draw_shape(mesh, camera, turn, position, view.sun_body, (x, y, half), nodes)
 
 
-def _follow(
+def _fit_edges(
     picture: Float32Array,
     mesh: MeshRays,
     view: CameraView,
@@ -213,8 +215,8 @@ def _follow(
     reach: float,
     turned: FloatArray,
 ) -> _Step:
-    """One round: edges drawn at a pose, searched in the picture, and the pose that fits them."""
-    drawn = _drawn(mesh, view, turn, position)
+    """Fit edges once: draw them at a pose, find them in the picture, fit the pose to them."""
+    drawn = _draw(mesh, view, turn, position)
     offsets = find_edges(picture, drawn, reach, levels.sky, levels.threshold)
     used = np.isfinite(offsets)
     if used.sum() < MIN_EDGES:
@@ -223,17 +225,17 @@ def _follow(
             "needed",
             ReasonCode.NO_LIMB,
         )
-    seen, by_point = _derivatives(drawn.places, view, turn, position)
+    seen, by_point = _compute_derivatives(drawn.places, view, turn, position)
     across = np.einsum("ni,nij->nj", drawn.outward, by_point)
     rows = np.concatenate([-across @ turn.as_matrix(), np.cross(seen, across)], axis=1)
     # inner and outer edges of one direction are two places of the shape
-    groups = 2 * _sectors(drawn) + drawn.outer
+    groups = 2 * _group_by_sector(drawn) + drawn.outer
     thinning = drawn.step / EDGE_LENGTH_PX
-    fit = _fitted(rows[used], offsets[used], groups[used], thinning, view, turned)
+    fit = _fit_pose(rows[used], offsets[used], groups[used], thinning, view, turned)
     return _Step(drawn, used, fit)
 
 
-def _by_light(
+def _fit_light(
     values: Float32Array,
     mesh: MeshRays,
     view: CameraView,
@@ -242,12 +244,12 @@ def _by_light(
     steps: int,
     turned: FloatArray,
 ) -> _EdgeFit | None:
-    """One round by the light on the shape; None where too little of it is found."""
-    drawn = _drawn(mesh, view, turn, position)
+    """Fit the light on the shape once; None where too little of it is matched."""
+    drawn = _draw(mesh, view, turn, position)
     places, moves = match_light(values, drawn, steps)
     if len(places) < MIN_PIECES:
         return None
-    seen, by_point = _derivatives(places, view, turn, position)
+    seen, by_point = _compute_derivatives(places, view, turn, position)
     turning = np.stack([np.cross(seen, by_point[:, k]) for k in range(2)], axis=1)
     rows = np.concatenate([-by_point @ turn.as_matrix(), turning], axis=2)
     pixels = view.camera.project(seen)
@@ -255,19 +257,19 @@ def _by_light(
     block = np.floor((pixels - drawn.pixels[0, 0]) / span).astype(np.int64)
     groups = np.repeat(block[:, 0] + BLOCKS * block[:, 1], 2)
     thinning = (PIECE_STEP / (2.0 * PIECE)) ** 2
-    fit = _fitted(rows.reshape(-1, 6), moves.ravel(), groups, thinning, view, turned)
+    fit = _fit_pose(rows.reshape(-1, 6), moves.ravel(), groups, thinning, view, turned)
     return fit if fit.scatter < MAX_LIGHT_SCATTER_PX else None
 
 
-def _derivatives(
+def _compute_derivatives(
     places: FloatArray, view: CameraView, turn: Rotation, position: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Places (n, 3) in the camera's frame, and derivatives (n, 2, 3) of their pixels by them."""
+    """Return points (n, 3) in the camera frame and derivatives (n, 2, 3) of their pixels."""
     seen = (places - position) @ turn.as_matrix().T
     return seen, view.camera.project_with_jacobian(seen)[1]
 
 
-def _fitted(
+def _fit_pose(
     rows: FloatArray,
     offsets: FloatArray,
     groups: IntArray,
@@ -275,30 +277,30 @@ def _fitted(
     view: CameraView,
     turned: FloatArray,
 ) -> _EdgeFit:
-    """The change of the pose that offsets ask for; thinning: rows that count as one measurement."""
+    """Fit the pose change to offsets; thinning: weight of a row for correlated neighbours."""
     prior = 1.0 / max(view.attitude_sigma_rad, EXACT_RAD) ** 2
     hold, change = np.diag([0.0, 0.0, 0.0, prior, prior, prior]), np.zeros(6)
     scatter = max(1.4826 * float(np.median(np.abs(offsets - np.median(offsets)))), MIN_SCATTER)
     weights, normal = np.ones(len(offsets)), hold
     for _ in range(8):
-        rest = np.abs(offsets - rows @ change) / scatter
-        weights = np.where(rest < 4.0, 1.0, 0.0) / np.maximum(rest / 1.5, 1.0)
-        weights *= thinning / (_errors().absorbed * scatter) ** 2
+        residuals = np.abs(offsets - rows @ change) / scatter
+        weights = np.where(residuals < 4.0, 1.0, 0.0) / np.maximum(residuals / 1.5, 1.0)
+        weights *= thinning / (_load_errors().absorbed * scatter) ** 2
         normal = (rows * weights[:, None]).T @ rows + hold
         wanted = (rows * weights[:, None]).T @ offsets
         wanted[3:] -= prior * turned
-        change = _inverse(normal) @ wanted
+        change = _invert(normal) @ wanted
         left = np.abs(offsets - rows @ change)
         scatter = max(1.4826 * float(np.median(left)), MIN_SCATTER)
     return _EdgeFit(rows, offsets, weights, groups, normal, change, scatter)
 
 
-def _inverse(normal: FloatArray) -> FloatArray:
+def _invert(normal: FloatArray) -> FloatArray:
     size = np.sqrt(np.diag(normal))
     if not (size > 0.0).all():
         raise NoSolutionError("the edges leave the pose open", ReasonCode.DEGENERATE)
-    found: FloatArray = np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size)
-    return found
+    inverse: FloatArray = np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size)
+    return inverse
 
 
 def _check(
@@ -313,14 +315,14 @@ def _check(
     """Raise NoSolutionError unless the picture shows the shape as it should look."""
     kept = last.fit.weights > 0.0
     share = float(kept.sum() / len(last.used))
-    sectors = np.unique(_sectors(last.drawn)[last.used][kept]).size
-    drawn = _drawn(mesh, view, turn, position)
+    sectors = np.unique(_group_by_sector(last.drawn)[last.used][kept]).size
+    drawn = _draw(mesh, view, turn, position)
     x, y = (np.ascontiguousarray(drawn.pixels[..., k], np.float32) for k in range(2))
     shown = cv2.remap(values, x, y, cv2.INTER_LINEAR)
     # roots: a few glints count no more than the ground
     pair = [
-        np.sqrt(np.maximum(cv2.GaussianBlur(one, (0, 0), 1.0), 0.0)).ravel()
-        for one in (drawn.light, shown - float(np.median(shown[drawn.light == 0.0])))
+        np.sqrt(np.maximum(cv2.GaussianBlur(image, (0, 0), 1.0), 0.0)).ravel()
+        for image in (drawn.light, shown - float(np.median(shown[drawn.light == 0.0])))
     ]
     correlation = float(np.corrcoef(pair[0], pair[1])[0, 1])
     if share < MIN_FOUND or last.fit.scatter > max(MAX_SCATTER * across, 2.0):
@@ -340,28 +342,32 @@ def _check(
         )
 
 
-def _sectors(drawn: DrawnShape) -> IntArray:
-    """Which part of the outline edges belong to, by their directions."""
+def _group_by_sector(drawn: DrawnShape) -> IntArray:
+    """Number the sector of the outline that each edge belongs to, by its direction."""
     angle = np.arctan2(drawn.outward[:, 1], drawn.outward[:, 0])
     return np.floor((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
 
 
-def _fix(last: _Step, fit: _EdgeFit, turn: Rotation, position: FloatArray, view: CameraView) -> Fix:
-    """The pose with its covariance; fit: of the last round, by edges or light."""
-    inverse = _inverse(fit.normal)
-    rest = fit.offsets - fit.rows @ fit.change
-    pulls = fit.rows * (fit.weights * rest)[:, None]
+def _make_fix(
+    last: _Step, fit: _EdgeFit, turn: Rotation, position: FloatArray, view: CameraView
+) -> Fix:
+    """Make the fix with its covariance; fit: the last round, by edges or light."""
+    inverse = _invert(fit.normal)
+    misfits = fit.offsets - fit.rows @ fit.change
+    pulls = fit.rows * (fit.weights * misfits)[:, None]
     names, number = np.unique(fit.groups, return_inverse=True)
     sums = np.zeros((len(names), 6))
     np.add.at(sums, number, pulls)
-    spread = sums.T @ sums * (_errors().absorbed ** 2 * len(names) / max(len(names) - 6.0, 1.0))
+    spread = (
+        sums.T @ sums * (_load_errors().absorbed ** 2 * len(names) / max(len(names) - 6.0, 1.0))
+    )
     prior = 1.0 / max(view.attitude_sigma_rad, EXACT_RAD) ** 2
     spread[3:, 3:] += prior * np.eye(3)
     covariance = inverse @ spread @ inverse
-    share = _errors().ground_scale
+    share = _load_errors().ground_scale
     if fit is last.fit:
-        share = _errors().edge_scale
-        wide = inverse @ (fit.rows.T @ fit.weights) * _errors().edge_px
+        share = _load_errors().edge_scale
+        wide = inverse @ (fit.rows.T @ fit.weights) * _load_errors().edge_px
         covariance = covariance + np.outer(wide, wide)
     larger = np.concatenate([share * position, np.zeros(3)])
     covariance = covariance + np.outer(larger, larger)
@@ -373,7 +379,7 @@ def _fix(last: _Step, fit: _EdgeFit, turn: Rotation, position: FloatArray, view:
     order = np.argsort(np.arctan2(aside[:, 1], aside[:, 0]), kind="stable")
     residuals = np.where(kept, left, np.nan)[order]
     marks = OutlineMarks(points[order], -drawn.outward[used][order], residuals)
-    sectors = np.unique(_sectors(drawn)[used][kept]).size
+    sectors = np.unique(_group_by_sector(drawn)[used][kept]).size
     evidence = Evidence(
         residual_rms_px=float(np.sqrt(np.mean(left[kept] ** 2))),
         n_limb=int(kept.sum()),

@@ -11,12 +11,12 @@ from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.picture import Picture
 from optnav_cli.outline import method as outline
-from optnav_cli.outline.neighbour import other_body
+from optnav_cli.outline.neighbour import find_other_body
 from tests.optnav_cli.outline.disc.drawn_discs import RADIUS_M, blurred_disc, expose
 
 MOON = load_body("moon")
 TDB_S = 8.2e8
-EARTH = other_body(AnalyticEphemeris(MOON), TDB_S)
+EARTH = find_other_body(AnalyticEphemeris(MOON), TDB_S)
 CAMERA = Camera("wide", "pinhole", 260, 260, 650.0, (129.5, 129.5))
 SIDE = np.cross(EARTH.centre_m, [0.1, 0.2, 1.0])
 SIDE /= np.linalg.norm(SIDE)

@@ -9,8 +9,8 @@ from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from optnav_cli.frames.picture import Picture
 from optnav_cli.outline.disc.brightness_centre import navigate
-from optnav_cli.outline.disc.moments import sphere_moments
-from optnav_cli.outline.disc.size import disc_sizes
+from optnav_cli.outline.disc.moments import compute_sphere_moments
+from optnav_cli.outline.disc.size import load_disc_sizes
 from optnav_cli.outline.neighbour import CameraView
 from tests.optnav_cli.outline.disc.drawn_discs import blurred_disc, expose, far_camera, placed
 
@@ -42,7 +42,7 @@ def test_positions_of_300_discs_are_as_good_as_they_say():
         picture, centre, sun = drawn(rng, radius, rng.uniform(0.0, 120.0), rng.uniform(0.5, 1.1))
         turn = Rotation.random(random_state=rng)
         fix, _ = centre_fix(picture, CAMERA, turn, 0.0, turn.inv().apply(sun), saturation=255.0)
-        mass = centre + rng.normal(0.0, disc_sizes().figure * BODY.radius_m, 3)
+        mass = centre + rng.normal(0.0, load_disc_sizes().figure * BODY.radius_m, 3)
         error = fix.position_m + turn.inv().apply(mass)
         normalised.append(error @ np.linalg.solve(fix.covariance_m2, error) / 3.0)
         missed.append(np.linalg.norm(centre_px(fix) - CAMERA.project(centre)))
@@ -58,15 +58,15 @@ def test_positions_of_300_discs_are_as_good_as_they_say():
 
 def test_the_correction_depends_on_the_phase_and_hardly_on_the_law():
     for phase_deg in (20.0, 50.0, 80.0, 110.0):
-        offsets = [moments.offset[0] for moments in sphere_moments(np.radians(phase_deg))]
+        offsets = [moments.offset[0] for moments in compute_sphere_moments(np.radians(phase_deg))]
         assert min(offsets) > 0.11
         assert max(offsets) - min(offsets) < 0.035
     # a full Lambert sphere is bright as mu: r^2 mu over the disc has a mean of 2/5, an axis half
-    lambert = sphere_moments(0.0)[2]
+    lambert = compute_sphere_moments(0.0)[2]
     assert lambert.offset == pytest.approx(0.0, abs=1e-9)
     assert np.diag(lambert.second) == pytest.approx(0.2, abs=2e-3)
     # Lommel-Seeliger is even at full phase: a uniform disc has r^2 / 4
-    assert sphere_moments(0.0)[1].second[0, 0] == pytest.approx(0.25, abs=2e-3)
+    assert compute_sphere_moments(0.0)[1].second[0, 0] == pytest.approx(0.25, abs=2e-3)
 
 
 def test_an_attitude_error_widens_the_position_across_the_line_of_sight():

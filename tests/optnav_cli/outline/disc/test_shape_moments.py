@@ -13,7 +13,7 @@ from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.mesh.shape import load_shape
 from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
-from optnav_cli.outline.disc.moments import is_round, light_moments, sphere_moments
+from optnav_cli.outline.disc.moments import compute_light_moments, compute_sphere_moments, is_round
 
 PHOBOS = load_body("phobos")
 MEAN_M = float(np.mean(PHOBOS.radii_m))
@@ -55,8 +55,8 @@ def test_a_sphere_is_a_sphere_and_a_body_nearly_round_is_nearly_one() -> None:
     oval = replace(moon, radii_m=(1.012e6, 1.0e6, 1.0e6))
     assert not is_round(oval)
     for body, close in ((moon, 1e-12), (oval, 5e-3)):
-        found = light_moments(body, None, axes_for(up, sun), sun, phase)
-        for light, sphere in zip(found, sphere_moments(phase), strict=True):
+        found = compute_light_moments(body, None, axes_for(up, sun), sun, phase)
+        for light, sphere in zip(found, compute_sphere_moments(phase), strict=True):
             np.testing.assert_allclose(light.offset, sphere.offset, atol=close)
             np.testing.assert_allclose(light.second, sphere.second, atol=close)
 
@@ -64,7 +64,7 @@ def test_a_sphere_is_a_sphere_and_a_body_nearly_round_is_nearly_one() -> None:
 def test_a_full_ellipsoid_is_an_even_ellipse_under_lommel_seeliger() -> None:
     """Its light is even over the outline, whose second moments are a quarter of a^2 and b^2."""
     up = np.array([0.0, 0.0, 1.0])
-    light = light_moments(PHOBOS, None, np.eye(3), up, 0.0)[1]
+    light = compute_light_moments(PHOBOS, None, np.eye(3), up, 0.0)[1]
     wanted = 0.25 * np.square(np.array(PHOBOS.radii_m[:2]) / MEAN_M)
     np.testing.assert_allclose(light.offset, 0.0, atol=1e-9)
     np.testing.assert_allclose(light.second, np.diag(wanted), atol=1e-3)
@@ -79,7 +79,7 @@ def test_an_ellipsoid_s_light_is_that_of_its_picture(phase_deg: float) -> None:
     phase = float(np.radians(phase_deg))
     sun = np.cos(phase) * up + np.sin(phase) * aside
     axes = axes_for(up, sun)
-    light = light_moments(PHOBOS, None, axes, sun, phase)[0]
+    light = compute_light_moments(PHOBOS, None, axes, sun, phase)[0]
     middle, second = traced(mesh, axes, sun)
     np.testing.assert_allclose(light.offset, middle, atol=2e-3)
     np.testing.assert_allclose(light.second, second, atol=2e-3)
@@ -100,7 +100,7 @@ def test_phobos_light_is_known_better_from_its_relief_than_from_its_ellipsoid(
         axes = axes_for(up, sun)
         middle, second = traced(mesh, axes, sun)
         for known in (False, True):
-            light = light_moments(PHOBOS, relief if known else None, axes, sun, 0.7)[0]
+            light = compute_light_moments(PHOBOS, relief if known else None, axes, sun, 0.7)[0]
             widths = np.diag(light.second) / np.diag(second) - 1.0
             missed[known] += [*(light.offset - middle), *(0.5 * widths)]
     rms = {known: float(np.sqrt(np.mean(np.square(m)))) for known, m in missed.items()}

@@ -3,7 +3,7 @@
 import numpy as np
 
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.outline.limb.cone import find_cone, pixel_rays
+from optnav_cli.outline.limb.cone import compute_pixel_rays, find_cone
 
 ANGLE = np.radians(76.4)  # the Moon from 50 km
 RELIEF = 0.002
@@ -20,7 +20,7 @@ def test_no_flat_cone_outvotes_a_low_orbit_s_limb() -> None:
     )
     outward = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
     rays = np.column_stack([np.sin(off)[:, None] * outward, np.cos(off)])
-    where = pixel_rays(camera, camera.project(rays), np.eye(3))
+    where = compute_pixel_rays(camera, camera.project(rays), np.eye(3))
     for seed in range(12):
         found = find_cone(where, -outward, np.eye(3), RELIEF, seed)
         assert found is not None

@@ -9,7 +9,7 @@ from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.segmentation import measure_levels
 from optnav_cli.outline.limb.detection import find_limb
-from optnav_cli.outline.limb.sun_check import rejection_of_sun, sun_side_angle
+from optnav_cli.outline.limb.sun_check import describe_wrong_sun, measure_sun_side
 from tests.optnav_cli.conftest import pixel_grid
 from tests.optnav_cli.outline.disc.drawn_discs import (
     RADIUS_M,
@@ -192,15 +192,15 @@ def test_the_lit_side_tells_where_the_sun_is_not(phase_deg):
     camera, centre, sun, light, rng = scene(60, phase_deg)
     limb = find_limb(expose(light, 50.0, rng), camera, None)
     rays = camera.unproject(limb.pixels)
-    assert rejection_of_sun(limb, camera, sun) == ""
+    assert describe_wrong_sun(limb, camera, sun) == ""
     for turn in (-40.0, 90.0, 180.0):
         other = Rotation.from_rotvec(np.radians(turn) * centre / np.linalg.norm(centre)).apply(sun)
-        side = sun_side_angle(limb, rays, other)
+        side = measure_sun_side(limb, rays, other)
         assert side.angle == pytest.approx(np.radians(abs(turn)), abs=side.sigma)
-        assert "from where attitude and time put the Sun" in rejection_of_sun(limb, camera, other)
+        assert "from where attitude and time put the Sun" in describe_wrong_sun(limb, camera, other)
     # with the Sun behind the camera no side is the lit one, but then all of the disc is lit
     back = -centre / np.linalg.norm(centre)
-    doubt = rejection_of_sun(limb, camera, back)
+    doubt = describe_wrong_sun(limb, camera, back)
     assert ("of the disc is lit, and 100 % should be" in doubt) == (phase_deg > 45)
 
 

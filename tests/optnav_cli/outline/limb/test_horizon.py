@@ -12,12 +12,16 @@ from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.relief.sums import load_relief
 from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
-from optnav_cli.outline.limb.limb_rays import limb_rays_of, relief_covariance, rough_errors
+from optnav_cli.outline.limb.limb_rays import (
+    compute_relief_covariance,
+    compute_rough_errors,
+    make_limb_rays,
+)
 from optnav_cli.outline.limb.method import navigate
 from optnav_cli.outline.limb.model import azimuths_about_nadir, fit_limb
-from optnav_cli.outline.limb.relief_skyline import relief_skyline
-from optnav_cli.outline.limb.sizes import horizon_sizes
-from optnav_cli.outline.limb.skyline import follow
+from optnav_cli.outline.limb.relief_skyline import make_relief_skyline
+from optnav_cli.outline.limb.sizes import load_horizon_sizes
+from optnav_cli.outline.limb.skyline import fit_repeatedly
 from tests.optnav_cli.outline.limb.limbs import (
     CAMERA,
     MOON,
@@ -98,7 +102,7 @@ def test_a_bare_sphere_s_sigmas_hold_over_the_real_moon_on_the_mean_of_many_turn
             sine = radius / np.linalg.norm(fit.state)
             away = float(np.linalg.norm(fit.state)) * np.sqrt(1.0 - sine**2)
             seen = azimuths_about_nadir(rays, fit.state)
-            spread = relief_covariance(fit, moon, seen, away, float(np.arccos(sine)))
+            spread = compute_relief_covariance(fit, moon, seen, away, float(np.arccos(sine)))
             error = fit.state - position
             squares.append(float(error @ np.linalg.solve(spread, error)) / 3.0)
         turns.append(np.mean(squares))
@@ -217,9 +221,9 @@ def test_common_edge_errors_are_in_the_height():
 def on_shadowed_ground(points, camera_from_body, own_px, seed):
     """Points that an edge model fits badly: wide sigmas, errors that 10 deg of azimuth share."""
     wide = replace(points, sigma_px=np.full(len(points), own_px))
-    rays = limb_rays_of(wide, CAMERA, camera_from_body)
-    azimuths = rays.azimuths(-camera_from_body.inv().apply([0.0, 0.0, 1.0]))
-    shared = rough_errors(rays, azimuths) / rays.pixel_angle[:, None]
+    rays = make_limb_rays(wide, CAMERA, camera_from_body)
+    azimuths = rays.compute_azimuths(-camera_from_body.inv().apply([0.0, 0.0, 1.0]))
+    shared = compute_rough_errors(rays, azimuths) / rays.pixel_angle[:, None]
     off = shared @ np.random.default_rng(seed).normal(size=shared.shape[1])
     noise = np.random.default_rng(seed + 100).normal(0.0, own_px, len(points))
     pixels = points.pixels + (off + noise)[:, None] * points.inward
@@ -228,16 +232,16 @@ def on_shadowed_ground(points, camera_from_body, own_px, seed):
 
 def test_limbs_over_long_shadows_are_judged_by_what_neighbours_share():
     """Without it a right limb scatters by 1.3 to 1.8 times what its points' sigmas expect."""
-    sizes, honest, misfits = horizon_sizes(), [], []
+    sizes, honest, misfits = load_horizon_sizes(), [], []
     alone = replace_light(sizes, rough_share=1e-6)
     for seed in range(10):
         position = place(1e5, seed)
         turned = attitude(position)
         points = limb_points(position, turned, seed=seed, noise_px=1e-3)
         rough = on_shadowed_ground(points, turned, 0.5, seed)
-        rays = limb_rays_of(rough, CAMERA, turned)
-        skylines = [relief_skyline(grounds()[1], "moon", each) for each in (sizes, alone)]
-        fits = [follow(skyline, rays, position, None).fit for skyline in skylines]
+        rays = make_limb_rays(rough, CAMERA, turned)
+        skylines = [make_relief_skyline(grounds()[1], "moon", each) for each in (sizes, alone)]
+        fits = [fit_repeatedly(skyline, rays, position, None).fit for skyline in skylines]
         misfits.append([fit.misfit for fit in fits])
         fix = navigate(rough, CAMERA, turned, 0.0, None, MOON, grounds()[1])
         honest.append(nees(fix, position))
@@ -248,13 +252,15 @@ def test_limbs_over_long_shadows_are_judged_by_what_neighbours_share():
 
 
 def test_only_points_beyond_the_usual_error_share_long_shadows():
-    light = horizon_sizes().light
+    light = load_horizon_sizes().light
     position = place(1e5, 1)
     turned = attitude(position)
     points = limb_points(position, turned)
     for own, expected in ((0.9 * light.rough_px, 0.0), (light.rough_px + 0.2, 0.2)):
-        rays = limb_rays_of(replace(points, sigma_px=np.full(len(points), own)), CAMERA, turned)
-        shared = rough_errors(rays, rays.azimuths(position)) / rays.pixel_angle[:, None]
+        rays = make_limb_rays(replace(points, sigma_px=np.full(len(points), own)), CAMERA, turned)
+        shared = (
+            compute_rough_errors(rays, rays.compute_azimuths(position)) / rays.pixel_angle[:, None]
+        )
         assert np.allclose(shared.sum(axis=1), light.rough_share * expected)
         assert ((shared != 0.0).sum(axis=1) <= 1).all()
 

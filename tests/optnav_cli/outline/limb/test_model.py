@@ -6,7 +6,7 @@ from scipy.optimize import brentq, least_squares
 
 from catalog.errors import NoSolutionError
 from catalog.terrain.skyline.limb import nadir_axes
-from optnav_cli.outline.limb.model import fit_limb, linear_position
+from optnav_cli.outline.limb.model import fit_limb, solve_linear_position
 
 SHAPES = {
     "sphere": (1737400.0, 1737400.0, 1737400.0),
@@ -54,7 +54,7 @@ def test_an_exact_cone_gives_its_position(shape, degrees, height):
     # the discriminant is a small difference of squares that grow with the height: bisection finds
     # the angle to 1e-16 of these, and a distance is an angle times the squared height
     limit = 1e-11 * height**3 * size
-    assert np.linalg.norm(linear_position(rays, radii) - position) < limit
+    assert np.linalg.norm(solve_linear_position(rays, radii) - position) < limit
     fit = fit_limb(rays, 1e-8, radii)
     assert np.linalg.norm(fit.state - position) < limit
     assert np.abs(fit.measured.residuals).max() < 1e-8

@@ -21,8 +21,8 @@ from optnav_cli.outline.limb.limb_rays import LimbRays
 from optnav_cli.outline.limb.method import navigate
 from optnav_cli.outline.limb.shape_skyline import (
     ShapeSkyline,
+    estimate_relief_fraction,
     is_shape,
-    relief_fraction,
 )
 from tests.optnav_cli.outline.limb.limbs import grounds, limb_points, place
 
@@ -128,8 +128,12 @@ def nees(fix, position):
 def test_a_small_body_s_relief_is_its_shape_and_the_moon_s_is_not():
     assert is_shape(shapes()[0])
     assert not is_shape(grounds()[1])
-    assert 0.05 < relief_fraction(PHOBOS) < 0.15
-    assert relief_fraction(load_body("moon")) == relief_fraction(load_body("mars")) == 0.002
+    assert 0.05 < estimate_relief_fraction(PHOBOS) < 0.15
+    assert (
+        estimate_relief_fraction(load_body("moon"))
+        == estimate_relief_fraction(load_body("mars"))
+        == 0.002
+    )
 
 
 @cache
@@ -171,7 +175,7 @@ def test_silhouettes_are_where_rays_begin_to_miss_the_mesh():
         low, high = np.where(met, middle, low), np.where(met, high, middle)
     rays = np.sin(low)[:, None] * across - np.cos(low)[:, None] * axes[2]
     sight = LimbRays(rays, np.full(90, PIXEL), np.full(90, 0.1), 1e-9, 0.0, np.arange(90))
-    limb = ShapeSkyline(LimbRelief(relief, 0.0), 0.0).silhouette(position, sight, None)
+    limb = ShapeSkyline(LimbRelief(relief, 0.0), 0.0).predict_silhouette(position, sight, None)
     beside_m = limb.offsets * limb.ranges
     assert np.abs(np.median(beside_m)) < 4.0
     assert np.quantile(np.abs(beside_m), 0.9) < 15.0
@@ -187,10 +191,10 @@ def test_offsets_change_as_their_rates_say():
         rays, np.full(len(rays), PIXEL), points.sigma_px, 1e-6, 0.0, np.arange(len(rays))
     )
     skyline = ShapeSkyline(LimbRelief(relief, 0.0), 0.0)
-    limb = skyline.silhouette(position, sight, None)
+    limb = skyline.predict_silhouette(position, sight, None)
     for step in 30.0 * nadir_axes(position)[:2]:
-        after = skyline.silhouette(position + step, sight, None).offsets
-        before = skyline.silhouette(position - step, sight, None).offsets
+        after = skyline.predict_silhouette(position + step, sight, None).offsets
+        before = skyline.predict_silhouette(position - step, sight, None).offsets
         expected = 2.0 * limb.rates @ step
         wrong = (after - before - expected)[limb.usable]
         assert np.sqrt(np.mean(wrong**2)) < 0.1 * np.sqrt(np.mean(expected**2))
@@ -243,7 +247,7 @@ def test_contact_binaries_are_solved_or_refused():
             limb = find_limb(
                 np.clip(np.rint(light), 0.0, 255.0).astype(np.float32), CAMERA,
                 camera_from_body.apply(sun),
-                saturation=255.0, stretch=stretch, relief=relief_fraction(body),
+                saturation=255.0, stretch=stretch, relief=estimate_relief_fraction(body),
             )  # fmt: skip
             fix = navigate(limb, CAMERA, camera_from_body, 0.0, sun, body, relief)
         except NoSolutionError:
