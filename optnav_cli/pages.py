@@ -8,7 +8,7 @@ from catalog.progress import logged_stage
 from catalog.store.reader import Catalog
 from optnav_cli.calibration.page import calibration_page, is_calibration
 from optnav_cli.cylinder.page import CYLINDER_KIND, cylinder_page, cylinder_sheet
-from optnav_cli.hazard.page import hazard_page
+from optnav_cli.hazard.page import make_hazard_page
 from optnav_cli.hazard.settings import KIND as HAZARD
 from optnav_cli.navigate.page import run_page
 from optnav_cli.orbit.delivery.page import delivery_page, delivery_sheet
@@ -29,7 +29,7 @@ from optnav_cli.stars.page import STARS_KIND, stars_page
 # Pages and pictures of output folders, by the kind that their manifest states.
 PAGES = {
     CYLINDER_KIND: cylinder_page,
-    HAZARD: hazard_page,
+    HAZARD: make_hazard_page,
     ORBIT: orbit_page,
     QSO_KIND: qso_page,
     LANDING_KIND: landing_page,

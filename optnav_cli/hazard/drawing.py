@@ -21,8 +21,8 @@ REFUSED_COLOUR, OUTSIDE_COLOUR = (60, 40, 50), (24, 24, 24)
 SCALE = np.array([[80, 170, 60], [90, 210, 190], [70, 190, 245], [50, 100, 235], [60, 20, 140]])
 
 
-def coloured(values: Float32Array, highest: float) -> ByteArray:
-    """Colours (rows, cols, 3), BGR, of numbers from 0 to `highest`."""
+def map_colours(values: Float32Array, highest: float) -> ByteArray:
+    """Map numbers from 0 to `highest` to colours (rows, cols, 3), BGR."""
     at = np.clip(np.nan_to_num(values) / highest, 0.0, 1.0) * (len(SCALE) - 1)
     near = np.minimum(at.astype(np.int64), len(SCALE) - 2)
     share = (at - near)[..., None]
@@ -33,36 +33,36 @@ def coloured(values: Float32Array, highest: float) -> ByteArray:
 
 
 def draw_risk(mapped: HazardMap) -> ByteArray:
-    """The risk map in colours, refused pads dark, with the squares and the chosen pads."""
+    """Draw the risk map in colours, refused pads dark, with the chosen pads."""
     factor = min(1.0, MAX_RISK_PX / max(mapped.view.brightness.shape))
-    return _with_pads(mapped, _scaled(_risk_colours(mapped), factor), factor)
+    return _mark_pads(mapped, _scale(_draw_risk_cells(mapped), factor), factor)
 
 
-def _risk_colours(mapped: HazardMap) -> ByteArray:
-    """The colours of the cells of a view."""
-    colours = coloured(mapped.risk.code.astype(np.float32), 0.6 * REFUSED)
+def _draw_risk_cells(mapped: HazardMap) -> ByteArray:
+    """Draw the risk at each cell of a view."""
+    colours = map_colours(mapped.risk.code.astype(np.float32), 0.6 * REFUSED)
     colours[mapped.risk.code == REFUSED] = REFUSED_COLOUR
-    full = _on_cells(mapped, colours)
+    full = _expand_to_cells(mapped, colours)
     full[~mapped.view.valid] = OUTSIDE_COLOUR
     return full
 
 
 def draw_overview(mapped: HazardMap) -> ByteArray:
-    """Picture, risk, pads and slopes side by side; captions say what is what."""
+    """Draw picture, risk, pads and slopes side by side with captions."""
     view = mapped.view
     factor = PANEL_PX / max(view.brightness.shape)
     gray = dimmed(eight_bits(np.where(view.valid, view.brightness, np.float32(0.0))))
     panels = [
-        ("picture on the ground", _scaled(gray, factor)),
-        ("risk: green 0, red 0.6; dark refused", _scaled(_risk_colours(mapped), factor)),
-        ("pads", _with_pads(mapped, _scaled(gray, factor), factor)),
+        ("picture on the ground", _scale(gray, factor)),
+        ("risk: green 0, red 0.6; dark refused", _scale(_draw_risk_cells(mapped), factor)),
+        ("pads", _mark_pads(mapped, _scale(gray, factor), factor)),
     ]
     if mapped.slopes is not None:
         degrees = slope_degrees(np.stack([mapped.slopes.toward, mapped.slopes.across]))
-        colours = coloured(degrees, MAX_SLOPE_DEG)
+        colours = map_colours(degrees, MAX_SLOPE_DEG)
         colours[~view.valid] = OUTSIDE_COLOUR
         title = f"slopes on 3 m: green 0, red {MAX_SLOPE_DEG:g} deg"
-        panels.append((title, _with_pads(mapped, _scaled(colours, factor), factor)))
+        panels.append((title, _mark_pads(mapped, _scale(colours, factor), factor)))
     height = TITLE_PX + max(len(panel) for _, panel in panels)
     width = sum(panel.shape[1] for _, panel in panels) + GAP_PX * (len(panels) - 1)
     canvas = Canvas(np.full((height, width, 3), 16, np.uint8), 1.0)
@@ -74,8 +74,8 @@ def draw_overview(mapped: HazardMap) -> ByteArray:
     return canvas.image
 
 
-def _on_cells(mapped: HazardMap, colours: ByteArray) -> ByteArray:
-    """Colours of pads, each at the cells about the pad's middle; the border is refused."""
+def _expand_to_cells(mapped: HazardMap, colours: ByteArray) -> ByteArray:
+    """Expand colours of pads to the cells about each pad's middle; the border is refused."""
     risk, (rows, cols) = mapped.risk, mapped.view.brightness.shape
     places = [
         np.rint((np.arange(size) - risk.origin) / risk.step).astype(np.int64)
@@ -89,8 +89,8 @@ def _on_cells(mapped: HazardMap, colours: ByteArray) -> ByteArray:
     return full
 
 
-def _scaled(picture: ByteArray, factor: float) -> ByteArray:
-    """A picture scaled."""
+def _scale(picture: ByteArray, factor: float) -> ByteArray:
+    """Scale a picture: averaged when smaller, nearest pixels when larger."""
     if factor == 1.0:
         return picture.copy()
     high, wide = (max(1, round(size * factor)) for size in picture.shape[:2])
@@ -98,21 +98,16 @@ def _scaled(picture: ByteArray, factor: float) -> ByteArray:
     return cv2.resize(picture, (wide, high), interpolation=how).astype(np.uint8, copy=False)
 
 
-def _with_pads(mapped: HazardMap, picture: ByteArray, factor: float) -> ByteArray:
-    """The same with a box at each chosen pad; factor: pixels a cell."""
+def _mark_pads(mapped: HazardMap, picture: ByteArray, factor: float) -> ByteArray:
+    """Draw a box at each chosen pad onto the picture; factor: pixels per cell."""
     half = 0.5 * mapped.risk.cells
     for pad in mapped.pads:
         if pad.cell is None:
             continue
         row, col = ((middle + 0.5) * factor for middle in pad.cell)
         reach = max(half * factor, 3.0)
-        low, high = (
-            (math.floor(col - reach), math.floor(row - reach)),
-            (
-                math.ceil(col + reach),
-                math.ceil(row + reach),
-            ),
-        )
+        low = math.floor(col - reach), math.floor(row - reach)
+        high = math.ceil(col + reach), math.ceil(row + reach)
         cv2.rectangle(picture, low, high, (0, 0, 0), 3)
         cv2.rectangle(picture, low, high, PAD_COLOUR, 1)
     return picture

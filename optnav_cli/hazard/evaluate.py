@@ -35,7 +35,7 @@ EVALUATION_JSON, EVALUATION_CSV = "evaluation.json", "evaluation.csv"
 
 @dataclass(frozen=True)
 class JudgedPad:
-    """One pad by the truth; shares of its area."""
+    """A pad judged by the truth; shares of its area."""
 
     file: str
     square_row: int
@@ -65,7 +65,7 @@ class PadFigures:
     rms_slope_deg: float
 
     def to_text(self) -> str:
-        """For people."""
+        """Format as a table for people."""
         expected = self.expected_dangerous_share
         rows = [
             ("squares", f"{self.squares}"),
@@ -98,7 +98,7 @@ def evaluate_pads(folder: Path, truth: Path) -> tuple[PadFigures, list[JudgedPad
         chosen = [row for row in rows if row["x_px"]]
         if not chosen:
             raise NothingToDoError(f"{folder}: no square has a pad; nothing to compare")
-        body, pad_m = _facts(folder, manifest)
+        body, pad_m = _read_facts(folder, manifest)
         placed = [row for row in chosen if row["lat_deg"]]
         if not placed:
             raise DataError(
@@ -107,7 +107,7 @@ def evaluate_pads(folder: Path, truth: Path) -> tuple[PadFigures, list[JudgedPad
             )
         source = DemSource.open_alone(truth, load_body(body))
         try:
-            judged = [pad for row in placed if (pad := _judged(row, source, pad_m)) is not None]
+            judged = [pad for row in placed if (pad := _judge_pad(row, source, pad_m)) is not None]
         finally:
             source.close()
     if not judged:
@@ -115,7 +115,7 @@ def evaluate_pads(folder: Path, truth: Path) -> tuple[PadFigures, list[JudgedPad
             f"{truth}: covers none of the {len(placed)} pads of {folder}; name a model of their "
             "ground"
         )
-    return _figures(len(rows), len(chosen), judged), judged
+    return _summarise(len(rows), len(chosen), judged), judged
 
 
 def write_pad_evaluation(folder: Path, figures: PadFigures, pads: Sequence[JudgedPad]) -> None:
@@ -127,8 +127,8 @@ def write_pad_evaluation(folder: Path, figures: PadFigures, pads: Sequence[Judge
         JUDGED_PADS.write(path, [asdict(pad) for pad in pads])
 
 
-def _facts(folder: Path, manifest: dict[str, Any]) -> tuple[str, float]:
-    """The body and the side of a pad, by the manifest."""
+def _read_facts(folder: Path, manifest: dict[str, Any]) -> tuple[str, float]:
+    """Read the body and the side of a pad from the manifest."""
     options, inputs = manifest.get("options"), manifest.get("inputs")
     body = inputs.get("body") if isinstance(inputs, dict) else None
     pad_m = options.get("pad_m") if isinstance(options, dict) else None
@@ -141,10 +141,10 @@ def _facts(folder: Path, manifest: dict[str, Any]) -> tuple[str, float]:
     return body, float(pad_m)
 
 
-def _judged(row: CsvRow, source: DemSource, pad_m: float) -> JudgedPad | None:
-    """A pad by the truth; None where that has holes or ends."""
+def _judge_pad(row: CsvRow, source: DemSource, pad_m: float) -> JudgedPad | None:
+    """Judge a pad by the truth; None where that has holes or ends."""
     lat, lon = row.number("lat_deg") or 0.0, row.number("lon_deg") or 0.0
-    slopes = pad_slopes(source, lat, lon, pad_m)
+    slopes = measure_pad_slopes(source, lat, lon, pad_m)
     if not np.isfinite(slopes).all():
         return None
     return JudgedPad(
@@ -160,8 +160,10 @@ def _judged(row: CsvRow, source: DemSource, pad_m: float) -> JudgedPad | None:
     )
 
 
-def pad_slopes(source: DemSource, lat_deg: float, lon_deg: float, pad_m: float) -> Float32Array:
-    """Slopes (n, n), deg, on a pad about a place, NaN where the model has none.
+def measure_pad_slopes(
+    source: DemSource, lat_deg: float, lon_deg: float, pad_m: float
+) -> Float32Array:
+    """Measure slopes (n, n), deg, on a pad about a point, NaN where the model has none.
 
     A model finer than JUDGED_M is averaged to it; of a coarser one its own posting counts.
     """
@@ -170,15 +172,15 @@ def pad_slopes(source: DemSource, lat_deg: float, lon_deg: float, pad_m: float) 
     nodes = inner + 2 * MARGIN
     parts = max(1, round(step / source.posting_m))
     at = (np.arange(nodes * parts) - 0.5 * (nodes * parts - 1)) * step / parts
-    place = Stereographic(math.radians(lat_deg), math.radians(lon_deg), source.body.radius_m)
-    fine = source.heights_at(*place.latlon(*np.meshgrid(at, -at)))
+    projection = Stereographic(math.radians(lat_deg), math.radians(lon_deg), source.body.radius_m)
+    fine = source.heights_at(*projection.latlon(*np.meshgrid(at, -at)))
     heights = fine.reshape(nodes, parts, nodes, parts).mean(axis=(1, 3), dtype=np.float64)
     slopes = slope_degrees(slope_components(heights.astype(np.float32), step, step, BASE_M))
     return slopes[MARGIN:-MARGIN, MARGIN:-MARGIN]
 
 
-def _figures(squares: int, pads: int, judged: Sequence[JudgedPad]) -> PadFigures:
-    def mean(values: Sequence[float]) -> float:
+def _summarise(squares: int, pads: int, judged: Sequence[JudgedPad]) -> PadFigures:
+    def average(values: Sequence[float]) -> float:
         return float(np.mean(values))
 
     shares = (pad.expected_dangerous_share for pad in judged)
@@ -187,9 +189,9 @@ def _figures(squares: int, pads: int, judged: Sequence[JudgedPad]) -> PadFigures
         squares,
         pads,
         len(judged),
-        mean([pad.dangerous_share for pad in judged]),
+        average([pad.dangerous_share for pad in judged]),
         max(pad.dangerous_share for pad in judged),
-        mean(expected) if expected else None,
-        mean([pad.critical_share for pad in judged]),
-        math.sqrt(mean([pad.rms_slope_deg**2 for pad in judged])),
+        average(expected) if expected else None,
+        average([pad.critical_share for pad in judged]),
+        math.sqrt(average([pad.rms_slope_deg**2 for pad in judged])),
     )

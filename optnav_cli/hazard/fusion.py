@@ -1,8 +1,8 @@
-"""A prior slope map with the slopes from shading: what brightness does not tell, the tilt of all.
+"""A prior slope map with the slopes from shading: the tilt of the ground, which brightness does not show.
 
-Shading tells the slope along the Sun nearly exactly, that across it far worse, and neither of them
-for waves longer than the picture. A map of slopes from orbit, coarser, knows the mean slope of each
-of its pixels, though not its direction. Over the width of such a pixel the slope across the Sun is
+Shading measures the slope along the Sun nearly exactly, that across it far worse, and neither for
+waves longer than the picture. A coarser map of slopes from orbit has the mean slope of each of its
+pixels, though not its direction. Over the width of such a pixel the slope across the Sun is
 taken from both, by their errors, so that the slope becomes the prior's; what is finer is shading's.
 """
 
@@ -22,9 +22,9 @@ from catalog.terrain.dem.georeference import Georeference
 from catalog.terrain.dem.label import read_map_label
 from catalog.terrain.dem.validity import Validity
 from catalog.terrain.slopes import DANGEROUS_DEG
-from optnav_cli.hazard.ground_view import PictureOnGround, box_means
+from optnav_cli.hazard.ground_view import PictureOnGround, average_boxes
 from optnav_cli.hazard.model import HazardModel
-from optnav_cli.hazard.shading import ShadedSlopes, rated
+from optnav_cli.hazard.shading import ShadedSlopes, rate_danger
 
 MAX_PIXELS = 400_000_000
 MAX_SLOPE_DEG = 90.0
@@ -41,8 +41,8 @@ class PriorSlopes:
     place: Georeference
     posting_m: float
 
-    def on(self, view: PictureOnGround) -> Float32Array:
-        """The map's slopes (rows, cols), deg, at the cells of a view; NaN outside.
+    def sample_view(self, view: PictureOnGround) -> Float32Array:
+        """Sample the map's slopes (rows, cols), deg, at the cells of a view; NaN outside.
 
         Raises DataError for a view without a place on the body, or ground that the map lacks.
         """
@@ -58,13 +58,13 @@ class PriorSlopes:
             col = np.mod(col, self.degrees.shape[1])
         outside = ~(np.isfinite(row) & np.isfinite(col))
         row[outside] = col[outside] = -10.0
-        found = sample_bicubic(self.degrees, row, col)
-        if np.isfinite(found).mean() < MIN_COVERED:
+        sampled = sample_bicubic(self.degrees, row, col)
+        if np.isfinite(sampled).mean() < MIN_COVERED:
             raise DataError(
                 f"{self.path}: does not cover the ground that the picture shows; name a map that "
                 "overlaps it"
             )
-        return np.clip(found, 0.0, MAX_SLOPE_DEG)
+        return np.clip(sampled, 0.0, MAX_SLOPE_DEG)
 
 
 def read_slopes(path: Path, body: Body) -> PriorSlopes:
@@ -80,7 +80,7 @@ def read_slopes(path: Path, body: Body) -> PriorSlopes:
                 "gdal_translate -projwin"
             )
         remedy = "give it one with gdal_edit.py -a_srs"
-        place = place_of(path, None, None, body, dataset, remedy)
+        georeference = place_of(path, None, None, body, dataset, remedy)
         stored = dataset.read(1, masked=True)
         degrees = stored.astype(np.float32).filled(np.nan)
         validity = Validity.of(dataset, special=read_map_label(path, dataset).special)
@@ -94,46 +94,46 @@ def read_slopes(path: Path, body: Body) -> PriorSlopes:
             f"{path}: its values run from {low:g} to {high:g}; wanted slopes in degrees, 0..90, "
             "not in percent"
         )
-    return PriorSlopes(path, degrees, place, place.row_angle * body.radius_m)
+    return PriorSlopes(path, degrees, georeference, georeference.row_angle * body.radius_m)
 
 
-def fuse(
+def combine_slopes(
     view: PictureOnGround,
     slopes: ShadedSlopes,
     prior_deg: Float32Array,
     posting_m: float,
     model: HazardModel,
 ) -> ShadedSlopes:
-    """Slopes whose means over a pixel of the prior follow that, too; where it is NaN, as they are.
+    """Combine slopes with the prior's means over each of its pixels; unchanged where it is NaN.
 
     prior_deg  (rows, cols) at the cells of the view
     """
     cells = 2 * max(1, round(0.5 * posting_m / view.cell_m)) + 1
     known = np.isfinite(prior_deg)
     prior = np.tan(np.radians(np.where(known, prior_deg, 0.0)))
-    along, over = box_means(slopes.toward, cells), box_means(slopes.across, cells)
-    own, other = model.tilt_sigma_deg**2, model.prior_sigma_deg**2
-    weight = own / (own + other)
+    along, over = average_boxes(slopes.toward, cells), average_boxes(slopes.across, cells)
+    shading_variance, prior_variance = model.tilt_sigma_deg**2, model.prior_sigma_deg**2
+    weight = shading_variance / (shading_variance + prior_variance)
     # brightness tells the slope along the Sun far better than that across it
     wanted = np.sqrt(np.maximum(prior * prior - along * along, 0.0))
     change = weight * (wanted - np.abs(over))
     across = slopes.across + np.where(known, change * np.where(over < 0.0, -1.0, 1.0), 0.0)
     across = across.astype(np.float32)
     toward = slopes.toward
-    return rated(view, toward, across, slopes.shadow, model)
+    return rate_danger(view, toward, across, slopes.shadow, model)
 
 
-def too_steep(
+def find_too_steep(
     prior_deg: Float32Array, cells: int, model: HazardModel
 ) -> tuple[Float32Array, Float32Array]:
-    """Mean prior slopes (deg) of pads, NaN where none is known, and 1 where the pad is refused.
+    """Find mean prior slopes (deg) of pads, NaN where unknown, and 1 where a pad is refused.
 
     Refused is what the prior, with its error, has above the dangerous slope.
     """
     known = np.isfinite(prior_deg).astype(np.float32)
     filled = np.where(known > 0, prior_deg, 0.0).astype(np.float32)
     cells += 1 - cells % 2
-    total, share = box_means(filled, cells), box_means(known, cells)
+    total, share = average_boxes(filled, cells), average_boxes(known, cells)
     means = np.divide(total, share, out=np.full_like(total, math.nan), where=share > 0.5)
     limit = DANGEROUS_DEG - model.prior_sigma_deg
     steep = np.where(np.isfinite(means), means > limit, False).astype(np.float32)

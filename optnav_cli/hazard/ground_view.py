@@ -60,23 +60,23 @@ class PictureOnGround:
 
     @property
     def sun_elevation_deg(self) -> float:
-        return _elevation_deg(self.sun)
+        return _compute_elevation_deg(self.sun)
 
     @property
     def sun_azimuth(self) -> float:
-        """Of the Sun, rad, clockwise from against the rows (north on a map)."""
+        """Azimuth of the Sun, rad, clockwise from against the rows (north on a map)."""
         return math.atan2(self.sun[0], self.sun[1])
 
     def xy_m(self, row: ArrayLike, col: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Places of (fractional) cells from the middle."""
+        """Return x and y, m, of (fractional) cells from the middle."""
         rows, cols = self.brightness.shape
         x = (np.asarray(col, dtype=np.float64) - 0.5 * (cols - 1)) * self.cell_m
         y = (0.5 * (rows - 1) - np.asarray(row, dtype=np.float64)) * self.cell_m
         return x, y
 
-    def pixels(self, row: float, col: float) -> tuple[float, float]:
-        """Where the picture shows a (fractional) cell, px."""
-        x, y = (_interpolated(part, np.array([row]), np.array([col])) for part in self.lattice_px)
+    def find_pixel(self, row: float, col: float) -> tuple[float, float]:
+        """Return the picture's x and y, px, of a (fractional) cell."""
+        x, y = (_interpolate(part, np.array([row]), np.array([col])) for part in self.lattice_px)
         return float(x[0, 0]), float(y[0, 0])
 
     @cached_property
@@ -90,14 +90,14 @@ class PictureOnGround:
 def look_down(
     picture: Picture, camera: Camera, height_m: float, sun_elevation_deg: float, azimuth_deg: float
 ) -> PictureOnGround:
-    """The view of a camera that looks straight down on level ground.
+    """Map the view of a camera that looks straight down on level ground.
 
     azimuth_deg  of the Sun, clockwise from the picture's upper edge
     Raises NoSolutionError with the reason why nothing can be told from such a picture.
     """
     e, a = math.radians(sun_elevation_deg), math.radians(azimuth_deg)
     sun = np.array([math.cos(e) * math.sin(a), math.cos(e) * math.cos(a), math.sin(e)])
-    rays = _border_rays(camera) * (1.0, -1.0, -1.0)
+    rays = _compute_border_rays(camera) * (1.0, -1.0, -1.0)
     at = -height_m / rays[:, 2]
     places = at[:, None] * rays[:, :2]
     middle = 0.5 * (places.max(axis=0) + places.min(axis=0))
@@ -106,8 +106,8 @@ def look_down(
         down = np.full(east.shape, height_m)
         return camera.project(np.stack([east + middle[0], -(north + middle[1]), down], axis=-1))
 
-    return _laid(
-        _Laying(picture, camera, project, places - middle, None),
+    return _sample_ground(
+        _GroundSampling(picture, camera, project, places - middle, None),
         height_m * camera.angular_resolution,
         sun,
         np.array([-middle[0], -middle[1], height_m]),
@@ -131,17 +131,17 @@ class KnownPose:
 def look_from(
     picture: Picture, camera: Camera, pose: KnownPose, heights: Heights | float
 ) -> PictureOnGround:
-    """The view of a camera whose pose is known.
+    """Map the view of a camera whose pose is known.
 
     heights  of the ground above the sphere, m, by latitudes and longitudes; NaN where not known. Or
              one height for all of it
     Raises NoSolutionError with the reason why nothing can be told from such a picture.
     """
     position, axes = pose.position_m, pose.camera_from_body.as_matrix()
-    rays = _border_rays(camera) @ axes
+    rays = _compute_border_rays(camera) @ axes
     _check_slant(-rays @ unit(position))
     ground = heights if callable(heights) else lambda lat, lon: np.full(np.shape(lat), heights)
-    middle, level = _middle(pose, axes[2], ground)
+    middle, level = _find_middle(pose, axes[2], ground)
     height_m = float(np.linalg.norm(position)) - pose.radius_m - level
     hits = distance_to_sphere(position, rays, pose.radius_m + level)
     if not np.isfinite(hits).all():
@@ -161,8 +161,8 @@ def look_from(
     foot = projection.points(0.0, 0.0, level)
     local = projection.body_from_local
     slanted = math.sqrt(float(np.linalg.norm(position - foot)) * height_m)  # of both axes
-    return _laid(
-        _Laying(picture, camera, project, border, projection),
+    return _sample_ground(
+        _GroundSampling(picture, camera, project, border, projection),
         slanted * camera.angular_resolution,
         pose.sun_body @ local,
         (position - foot) @ local,
@@ -170,8 +170,8 @@ def look_from(
 
 
 @dataclass(frozen=True, eq=False)
-class _Laying:
-    """A picture, the way from the ground to its pixels, and its outline (n, 2) on the ground."""
+class _GroundSampling:
+    """A picture, the projection of the ground into it, and its outline (n, 2) on the ground."""
 
     picture: Picture
     camera: Camera
@@ -180,8 +180,8 @@ class _Laying:
     projection: Stereographic | None
 
 
-def _border_rays(camera: Camera) -> FloatArray:
-    """Rays (n, 3), camera frame, around the frame."""
+def _compute_border_rays(camera: Camera) -> FloatArray:
+    """Compute rays (n, 3), camera frame, around the frame."""
     rays = camera.unproject(camera.border(BORDER_PX))
     if not np.isfinite(rays).all():
         raise NoSolutionError("the camera's corners see nothing; wanted a full frame", "no_rays")
@@ -198,10 +198,10 @@ def _check_slant(cosines: FloatArray) -> None:
         )
 
 
-def _middle(
+def _find_middle(
     pose: KnownPose, boresight: FloatArray, heights: Heights
 ) -> tuple[Stereographic, float]:
-    """A map about where the boresight meets the ground, and the height there."""
+    """Find where the boresight meets the ground: a map about that point, and the height there."""
     at = pose.position_m
     below = np.ravel(heights(*(np.atleast_1d(angle) for angle in latlon_from_xyz(at)[:2])))[0]
     level = float(below) if np.isfinite(below) else 0.0
@@ -215,18 +215,19 @@ def _middle(
             )
         at = pose.position_m + reach[0] * boresight
         lat, lon, _ = latlon_from_xyz(at)
-        found = float(np.ravel(heights(np.atleast_1d(lat), np.atleast_1d(lon)))[0])
-        if not np.isfinite(found):
+        level = float(np.ravel(heights(np.atleast_1d(lat), np.atleast_1d(lon)))[0])
+        if not np.isfinite(level):
             raise NoSolutionError(
                 "there are no heights of the ground that the picture shows; name a model of it, or "
                 "--height-m",
                 "no_ground",
             )
-        level = found
     return Stereographic(float(lat), float(lon), pose.radius_m), level
 
 
-def _laid(laying: _Laying, gsd_m: float, sun: FloatArray, camera_m: FloatArray) -> PictureOnGround:
+def _sample_ground(
+    laying: _GroundSampling, gsd_m: float, sun: FloatArray, camera_m: FloatArray
+) -> PictureOnGround:
     """Sample the picture at cells; pixels are averaged to about a cell before."""
     _check_sun(sun)
     binned = max(1, round(CELL_M / gsd_m))
@@ -245,36 +246,36 @@ def _laid(laying: _Laying, gsd_m: float, sun: FloatArray, camera_m: FloatArray) 
             f"{MIN_PAD_CELLS} cells of {cell:.3g} m",
             "too_small",
         )
-    values = _binned(laying.picture, binned)
-    at_rows, at_cols = _lattice(rows), _lattice(cols)
+    values = _bin_picture(laying.picture, binned)
+    at_rows, at_cols = _place_lattice(rows), _place_lattice(cols)
     east = (at_cols - 0.5 * (cols - 1)) * cell
     north = (0.5 * (rows - 1) - at_rows) * cell
     pixels = np.moveaxis(laying.project(*np.meshgrid(east, north)), -1, 0)
     places = [
         (
-            (_interpolated(part, np.arange(float(rows)), np.arange(float(cols))) + 0.5) / binned
+            (_interpolate(part, np.arange(float(rows)), np.arange(float(cols))) + 0.5) / binned
             - 0.5
         ).astype(np.float32)
         for part in pixels
     ]
     gaps = np.isnan(values)
     level = np.float32(np.nanmedian(values)) if gaps.any() else np.float32(0.0)
-    sampled = _remapped(np.where(gaps, level, values), places)
+    sampled = _remap(np.where(gaps, level, values), places)
     high, wide = values.shape
     valid = (places[0] >= -0.5) & (places[0] <= wide - 0.5)
     valid &= (places[1] >= -0.5) & (places[1] <= high - 0.5)
     if gaps.any():  # pixels without a value, and all that is interpolated with them
-        valid &= _remapped(gaps.astype(np.float32), places) <= 0.0
+        valid &= _remap(gaps.astype(np.float32), places) <= 0.0
     return PictureOnGround(sampled, valid, cell, sun, camera_m, laying.projection, pixels)
 
 
-def _lattice(size: int) -> FloatArray:
-    """Cells that are projected: each LATTICE-th one, the last one beyond the border."""
+def _place_lattice(size: int) -> FloatArray:
+    """Return the cells that are projected: every LATTICE-th, the last beyond the border."""
     return LATTICE * np.arange((size - 1) // LATTICE + 2, dtype=np.float64)
 
 
-def _interpolated(lattice: FloatArray, rows: FloatArray, cols: FloatArray) -> FloatArray:
-    """Values (len(rows), len(cols)) at cells, bilinear between those of a lattice."""
+def _interpolate(lattice: FloatArray, rows: FloatArray, cols: FloatArray) -> FloatArray:
+    """Interpolate values (len(rows), len(cols)) at cells, bilinear between lattice nodes."""
     weights = []
     for at, many in ((rows, lattice.shape[0]), (cols, lattice.shape[1])):
         places = np.asarray(at, dtype=np.float64) / LATTICE
@@ -283,12 +284,12 @@ def _interpolated(lattice: FloatArray, rows: FloatArray, cols: FloatArray) -> Fl
         row[np.arange(near.size), near] = 1.0 - (places - near)
         row[np.arange(near.size), near + 1] = places - near
         weights.append(row)
-    found: FloatArray = weights[0] @ lattice @ weights[1].T
-    return found
+    values: FloatArray = weights[0] @ lattice @ weights[1].T
+    return values
 
 
-def _binned(picture: Picture, many: int) -> Float32Array:
-    """Means over squares of pixels less the dark level.
+def _bin_picture(picture: Picture, many: int) -> Float32Array:
+    """Average squares of pixels and subtract the dark level.
 
     The few pixels that are saturated stay what they are: slopes that face the Sun, and dangerous.
     """
@@ -305,40 +306,40 @@ def _binned(picture: Picture, many: int) -> Float32Array:
             )
     if many > 1:
         size = cols // many, rows // many
-        values = resized(values, size)
+        values = resize_grid(values, size)
     sample = values[::3, ::3]
     low, high = np.nanquantile(sample, [0.002, 0.99])
     dark = low if 0.0 < low < DARK_SHARE * high else 0.0
     return np.subtract(values, np.float32(dark))
 
 
-def _remapped(values: Float32Array, places: list[Float32Array]) -> Float32Array:
+def _remap(values: Float32Array, places: list[Float32Array]) -> Float32Array:
     found = cv2.remap(
         values, places[0], places[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     return found.astype(np.float32, copy=False)
 
 
-def resized(values: Float32Array, size: tuple[int, int]) -> Float32Array:
-    """A grid with other numbers of columns and rows: means where these are fewer."""
+def resize_grid(values: Float32Array, size: tuple[int, int]) -> Float32Array:
+    """Resize a grid to (columns, rows): means where these are fewer."""
     fewer = size[0] < values.shape[1]
     how = cv2.INTER_AREA if fewer else cv2.INTER_LINEAR
     return cv2.resize(values, size, interpolation=how).astype(np.float32, copy=False)
 
 
-def box_means(values: Float32Array, cells: int, outside: float | None = None) -> Float32Array:
-    """Means over squares of an odd number of cells; what is outside is like the border, or 0."""
+def average_boxes(values: Float32Array, cells: int, outside: float | None = None) -> Float32Array:
+    """Average squares of an odd number of cells; outside counts as the border's value, or 0."""
     border = cv2.BORDER_REPLICATE if outside is None else cv2.BORDER_CONSTANT
     found = cv2.boxFilter(values, -1, (cells, cells), borderType=border)
     return found.astype(np.float32, copy=False)
 
 
-def _elevation_deg(sun: FloatArray) -> float:
+def _compute_elevation_deg(sun: FloatArray) -> float:
     return math.degrees(math.atan2(sun[2], math.hypot(sun[0], sun[1])))
 
 
 def _check_sun(sun: FloatArray) -> None:
-    elevation = _elevation_deg(sun)
+    elevation = _compute_elevation_deg(sun)
     if elevation < MIN_SUN_DEG:
         raise NoSolutionError(
             f"it is night there: the Sun stands at {elevation:.1f} deg; wanted "

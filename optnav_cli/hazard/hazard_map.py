@@ -7,18 +7,24 @@ import numpy as np
 
 from catalog.arrays import Float32Array
 from catalog.errors import ConfigError
-from optnav_cli.hazard.fusion import PriorSlopes, fuse, too_steep
+from optnav_cli.hazard.fusion import PriorSlopes, combine_slopes, find_too_steep
 from optnav_cli.hazard.ground_view import PictureOnGround
-from optnav_cli.hazard.model import HazardModel, hazard_model
-from optnav_cli.hazard.pads import Pad, RiskMap, choose_pads, risk_of_slopes, with_refusals
+from optnav_cli.hazard.model import HazardModel, load_hazard_model
+from optnav_cli.hazard.pads import (
+    Pad,
+    RiskMap,
+    add_refusals,
+    choose_pads,
+    map_variance,
+    rate_slopes,
+)
 from optnav_cli.hazard.settings import HazardSettings
 from optnav_cli.hazard.shading import ShadedSlopes, map_slopes
-from optnav_cli.hazard.variance import map_variance
 
 
 @dataclass(frozen=True, eq=False)
 class HazardMap:
-    """What a picture says of landing on the ground that it shows.
+    """Risk and pads of the ground that a picture shows.
 
     slopes  None by the method of variance
     """
@@ -30,7 +36,7 @@ class HazardMap:
 
     @property
     def found(self) -> int:
-        """Squares with a pad."""
+        """Number of squares with a pad."""
         return sum(pad.cell is not None for pad in self.pads)
 
 
@@ -46,35 +52,35 @@ def check_settings(settings: HazardSettings) -> None:
 def map_hazard(
     view: PictureOnGround, settings: HazardSettings, prior: PriorSlopes | None = None
 ) -> HazardMap:
-    """The risk and the pads of a view.
+    """Map the risk of a view and choose its pads.
 
     Raises NoSolutionError with the reason why there is no map, DataError for a prior that does not
     overlap it.
     """
     model = msgspec.structs.replace(
-        hazard_model(), shadow=settings.shadow, max_shadow=settings.max_shadow
+        load_hazard_model(), shadow=settings.shadow, max_shadow=settings.max_shadow
     )
-    before = None if prior is None else prior.on(view)
+    before = None if prior is None else prior.sample_view(view)
     if settings.method == "variance":
         risk, slopes = map_variance(view, settings.pad_m, model), None
     else:
         slopes = map_slopes(view, model, settings.law)
         if prior is not None and before is not None:
-            slopes = fuse(view, slopes, before, prior.posting_m, model)
-        risk = risk_of_slopes(view, slopes, settings.pad_m, model)
+            slopes = combine_slopes(view, slopes, before, prior.posting_m, model)
+        risk = rate_slopes(view, slopes, settings.pad_m, model)
     if before is not None:
-        risk = _refused_by_prior(risk, before, model)
+        risk = _refuse_by_prior(risk, before, model)
     return HazardMap(view, risk, choose_pads(view, risk, settings.square_m), slopes)
 
 
-def _refused_by_prior(risk: RiskMap, prior_deg: Float32Array, model: HazardModel) -> RiskMap:
-    """The same without pads whose prior slope is too steep, and with the prior slopes of all."""
-    means, steep = too_steep(prior_deg, risk.cells, model)
+def _refuse_by_prior(risk: RiskMap, prior_deg: Float32Array, model: HazardModel) -> RiskMap:
+    """Refuse pads whose prior slope is too steep, and add the prior slopes of all pads."""
+    means, steep = find_too_steep(prior_deg, risk.cells, model)
     rows, cols = (
         np.minimum(np.rint(risk.origin + risk.step * np.arange(size)).astype(int), limit - 1)
         for size, limit in zip(risk.score.shape, prior_deg.shape)
     )
-    places = np.ix_(rows, cols)
-    known = with_refusals(risk, {"too steep by --slopes": steep[places] > 0})
-    shares = {**risk.shares, "prior_slope_deg": means[places]}
+    at_pads = np.ix_(rows, cols)
+    known = add_refusals(risk, {"too steep by --slopes": steep[at_pads] > 0})
+    shares = {**risk.shares, "prior_slope_deg": means[at_pads]}
     return replace(known, shares=shares)

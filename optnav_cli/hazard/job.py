@@ -53,7 +53,7 @@ class StatedLight:
 
 @dataclass(frozen=True)
 class HazardInputs:
-    """What a hazard map is made of, besides the pictures.
+    """Inputs of a hazard map other than the pictures.
 
     catalog, dem  heights of the ground: one of them, or none
     height_m      over the ground, where neither is named
@@ -67,7 +67,7 @@ class HazardInputs:
     height_m: float | None = None
     nodata: float | None = None
 
-    def files(self) -> list[Path]:
+    def list_files(self) -> list[Path]:
         return [path for path in (self.slopes, self.catalog, self.dem) if path is not None]
 
 
@@ -79,7 +79,7 @@ def map_pictures(
     given: Mapping[str, Any],
     progress: Progress,
 ) -> list[str]:
-    """What `optnav hazard` does with its options; returns what to tell of each picture.
+    """Run `optnav hazard` with its options; return one line of text per picture.
 
     Raises UsageError for options that do not go together, and as the functions below.
     """
@@ -94,16 +94,16 @@ def map_pictures(
                 raise UsageError(
                     f"{name} is for a single picture; {pictures} is a folder, whose files say it"
                 )
-        return _told(hazard_folder(pictures, inputs, output, progress))
+        return _describe_results(map_folder(pictures, inputs, output, progress))
     check_input(pictures, "picture", "name a picture, or a folder of them")
     for name, value in {**alone, "--height-m": inputs.height_m}.items():
         if value is None:
             raise UsageError(f"{pictures} is no folder: a single picture needs {name}, too")
     light = StatedLight(float(inputs.height_m or 0.0), float(sun[0] or 0.0), float(sun[1] or 0.0))
-    return _told([hazard_picture(pictures, Path(str(camera)), light, inputs, output)])
+    return _describe_results([map_picture(pictures, Path(str(camera)), light, inputs, output)])
 
 
-def _told(frames: list[MappedFrame]) -> list[str]:
+def _describe_results(frames: list[MappedFrame]) -> list[str]:
     return [
         f"{frame.file}: {frame.reason}"
         if frame.summary is None
@@ -112,7 +112,7 @@ def _told(frames: list[MappedFrame]) -> list[str]:
     ]
 
 
-def hazard_picture(
+def map_picture(
     picture: Path, camera_file: Path, light: StatedLight, inputs: HazardInputs, output: Path
 ) -> MappedFrame:
     """Map the hazards of one picture whose camera looks straight down.
@@ -124,9 +124,9 @@ def hazard_picture(
     settings = inputs.settings
     check_settings(settings)
     check_apart(output, [picture, camera_file])
-    if inputs.files():
+    if inputs.list_files():
         raise UsageError(
-            f"{inputs.files()[0]}: needs a place on the body; a single picture has none: give a "
+            f"{inputs.list_files()[0]}: needs a place on the body; a single picture has none: give a "
             "folder whose frames have poses"
         )
     camera = load_camera(camera_file)
@@ -141,55 +141,55 @@ def hazard_picture(
         frame.reason = str(error)
     origin = {"picture": picture, "sha256": hash_file(picture), "camera": camera_file.name}
     options = msgspec.to_builtins(settings) | msgspec.to_builtins(light)
-    with logged_stage("hazard"), replacing_folder(output, KIND) as place:
-        with HazardOutput(place, None, settings, many=False) as out:
+    with logged_stage("hazard"), replacing_folder(output, KIND) as partial:
+        with HazardOutput(partial, None, settings, many=False) as out:
             out.add(frame)
         write_manifest(
-            place, KIND, command="hazard", options=options, inputs=origin,
-            results=_results([frame]), started=started,
+            partial, KIND, command="hazard", options=options, inputs=origin,
+            results=_count_results([frame]), started=started,
         )  # fmt: skip
     _check_found([frame])
     return frame
 
 
-def hazard_folder(
+def map_folder(
     path: Path, inputs: HazardInputs, output: Path, progress: Progress
 ) -> list[MappedFrame]:
     """Map the hazards of the pictures of a folder by the poses of its frames.csv.
 
-    Raises as `hazard_picture`; what is wrong with one frame is its reason.
+    Raises as `map_picture`; what is wrong with one frame is its reason.
     """
     started = datetime.now(UTC)
     settings = inputs.settings
     check_settings(settings)
-    check_apart(output, [path, *inputs.files()])
+    check_apart(output, [path, *inputs.list_files()])
     folder = read_folder(path)
     frames = []
     with ExitStack() as stack:
-        ground = _ground(inputs, folder.body, stack)
+        ground = _open_ground(inputs, folder.body, stack)
         prior = None if inputs.slopes is None else read_slopes(inputs.slopes, folder.body)
         stack.enter_context(logged_stage("hazard"))
-        place = stack.enter_context(replacing_folder(output, KIND))
+        partial = stack.enter_context(replacing_folder(output, KIND))
         many = len(folder.frames) > 1
-        out = stack.enter_context(HazardOutput(place, folder.body, settings, many=many))
+        out = stack.enter_context(HazardOutput(partial, folder.body, settings, many=many))
         bar = stack.enter_context(progress.stage("hazard", len(folder.frames), "picture"))
         for row in folder.frames:
             frame = _map_frame(folder, row, ground, inputs, prior)
             out.add(frame)
-            frames.append(frame.without_pixels())
+            frames.append(frame.drop_pixels())
             bar.advance()
         out.close()
         write_manifest(
-            place,
+            partial,
             KIND,
             command="hazard",
             options=msgspec.to_builtins(settings),
             inputs={
                 "folder": path,
                 "body": folder.settings.body,
-                **{p.name: hash_file(p) for p in inputs.files()},
+                **{p.name: hash_file(p) for p in inputs.list_files()},
             },
-            results=_results(frames),
+            results=_count_results(frames),
             started=started,
         )
     _check_found(frames)
@@ -203,7 +203,7 @@ def _map_frame(
     inputs: HazardInputs,
     prior: PriorSlopes | None,
 ) -> MappedFrame:
-    """The hazards of one frame, or why there are none."""
+    """Map the hazards of one frame, or give the reason why not."""
     camera = folder.cameras.get(row.camera)
     frame = MappedFrame(row.file, camera, None, row)
     try:
@@ -212,14 +212,14 @@ def _map_frame(
         frame.picture = frame_picture(folder.path, row.file, camera)
         for remark in frame.picture.remarks:
             log.warning("%s", remark)
-        frame.mapped = _mapped(folder, row, camera, frame.picture, ground, inputs, prior)
+        frame.mapped = _map_pose(folder, row, camera, frame.picture, ground, inputs, prior)
     except (NoSolutionError, DataError) as error:
         frame.reason = str(error)
         log.warning("%s: %s", row.file, error)
     return frame
 
 
-def _mapped(
+def _map_pose(
     folder: Folder,
     row: Frame,
     camera: Camera,
@@ -241,18 +241,18 @@ def _mapped(
         heights = above - inputs.height_m
     view = look_from(picture, camera, pose, heights)
     if ground is not None and inputs.height_m is not None:
-        found = float(view.camera_m[2])
-        if abs(found - inputs.height_m) > HEIGHT_TOLERANCE * inputs.height_m:
+        height_m = float(view.camera_m[2])
+        if abs(height_m - inputs.height_m) > HEIGHT_TOLERANCE * inputs.height_m:
             raise NoSolutionError(
                 f"--height-m is {inputs.height_m:g} m, by its pose over the terrain model the "
-                f"camera is {found:.6g} m high; leave --height-m out, or mend the pose",
+                f"camera is {height_m:.6g} m high; leave --height-m out, or mend the pose",
                 "height",
             )
     return map_hazard(view, inputs.settings, prior)
 
 
-def _ground(inputs: HazardInputs, body: Body, stack: ExitStack) -> Heights | None:
-    """Heights of the ground above the body's sphere, by the model or catalog that is named."""
+def _open_ground(inputs: HazardInputs, body: Body, stack: ExitStack) -> Heights | None:
+    """Open the named model or catalog: heights of the ground above the body's sphere."""
     if inputs.dem is not None and inputs.catalog is not None:
         raise UsageError("--dem and --catalog both give heights of the ground; name one of them")
     if inputs.dem is None and inputs.nodata is not None:
@@ -267,47 +267,47 @@ def _ground(inputs: HazardInputs, body: Body, stack: ExitStack) -> Heights | Non
             raise DataError(
                 f"{inputs.catalog}: is no catalog of {body.name} on its sphere; name another one"
             )
-        return lambda lat, lon: _catalog_heights(catalog, lat, lon)
+        return lambda lat, lon: _sample_catalog(catalog, lat, lon)
     return None
 
 
-def _catalog_heights(catalog: Catalog, lat: FloatArray, lon: FloatArray) -> FloatArray:
-    """Heights of places (rad) by the patches of the nearest point, the finest that reach them."""
+def _sample_catalog(catalog: Catalog, lat: FloatArray, lon: FloatArray) -> FloatArray:
+    """Sample heights at latitudes and longitudes (rad) from the nearest point's finest patches."""
     lat, lon = np.asarray(lat), np.asarray(lon)
     middle = float(np.degrees(lat.mean())), float(np.degrees(lon.ravel()[lon.size // 2]))
     point = catalog.point(catalog.nearest(*middle))
     radius = catalog.meta.radius_m
     x, y = Stereographic.xy_from_latlon(point.projection(radius), lat, lon)
-    found = np.full(lat.shape, np.nan)
+    sampled = np.full(lat.shape, np.nan)
     for patch in reversed(catalog.patches(point.id)):
         half = 0.5 * (patch.size - 1)
         heights = sample_bicubic(
             patch.heights_m, half - y / patch.posting_m, half + x / patch.posting_m
         )
-        found = np.where(np.isfinite(heights), heights, found)
-    return found
+        sampled = np.where(np.isfinite(heights), heights, sampled)
+    return sampled
 
 
-def _results(frames: list[MappedFrame]) -> dict[str, object]:
+def _count_results(frames: list[MappedFrame]) -> dict[str, object]:
     mapped = [frame.summary for frame in frames if frame.summary is not None]
     return {
         "pictures": len(frames),
         "mapped": len(mapped),
-        "squares": sum(one.squares for one in mapped),
-        "pads": sum(one.found for one in mapped),
+        "squares": sum(summary.squares for summary in mapped),
+        "pads": sum(summary.found for summary in mapped),
     }
 
 
 def _check_found(frames: list[MappedFrame]) -> None:
     if any(frame.summary is not None and frame.summary.found for frame in frames):
         return
-    reasons = list(_reasons(frames))
+    reasons = list(_list_reasons(frames))
     raise NothingToDoError(
         f"no square has a pad: {'; '.join(reasons[:3])}" + (" ..." if len(reasons) > 3 else "")
     )
 
 
-def _reasons(frames: list[MappedFrame]) -> Iterator[str]:
+def _list_reasons(frames: list[MappedFrame]) -> Iterator[str]:
     for frame in frames:
         if frame.summary is None:
             yield f"{frame.file}: {frame.reason}"

@@ -17,7 +17,7 @@ Numbers = Annotated[tuple[float, ...], msgspec.Meta(min_length=1, max_length=50)
 
 
 class ErrorOfSlopes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How likely a slope is above a limit, one number for each elevation of the Sun.
+    """Terms of the probability that a slope is above a limit, one for each elevation of the Sun.
 
     It is the normal distribution of slope - limit * level + local * r + (regional + narrow * x) * R
     + dark * f over sigma + sigma_local * r + sigma_dark * f + sigma_narrow * x * R, tangents; r and
@@ -62,7 +62,7 @@ class VarianceNumbers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class HazardModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What configs/models/hazard.toml holds."""
+    """Content of configs/models/hazard.toml."""
 
     shadow: Share
     max_shadow: Share
@@ -74,16 +74,16 @@ class HazardModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     prior_sigma_deg: NotNegative
     tilt_sigma_deg: Positive
 
-    def max_shadow_under(self, sun_elevation_deg: float) -> float:
-        """The share of shadow that a pad may have: as rocks that cover so much ground throw it."""
+    def limit_shadow(self, sun_elevation_deg: float) -> float:
+        """Return the share of shadow that a pad may have: what rocks on that share of ground cast."""
         known, now = (math.radians(deg) for deg in (self.shadow_sun_deg, sun_elevation_deg))
         longer = math.tan(known) / math.tan(now)
         return self.max_shadow * min(max(longer, 1.0), self.most_longer)
 
 
 @cache
-def hazard_model() -> HazardModel:
-    """The numbers that ship with optnav. Raises ConfigError for a wrong file."""
+def load_hazard_model() -> HazardModel:
+    """Load the numbers that ship with optnav. Raises ConfigError for a wrong file."""
     model = load_toml(resource(FILE), HazardModel)
     count = len(model.shading.sun_elevation_deg)
     for part in (model.shading.dangerous, model.shading.critical):
@@ -93,8 +93,10 @@ def hazard_model() -> HazardModel:
     return model
 
 
-def error_terms(part: ErrorOfSlopes, elevations: Numbers, elevation_deg: float) -> list[float]:
-    """Its numbers at an elevation of the Sun, in their order, between those of the table."""
+def interpolate_terms(
+    part: ErrorOfSlopes, elevations: Numbers, elevation_deg: float
+) -> list[float]:
+    """Interpolate the numbers of a part at an elevation of the Sun, in their order."""
     return [
         float(np.interp(elevation_deg, elevations, getattr(part, name)))
         for name in part.__struct_fields__

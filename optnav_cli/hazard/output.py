@@ -34,7 +34,7 @@ PAD_PX = 24.0  # the least diameter of a mark in the recording
 
 @dataclass(frozen=True)
 class MapSummary:
-    """What is left of a map when its pixels are gone."""
+    """Counts of a map, kept when its pixels are dropped."""
 
     squares: int
     found: int
@@ -58,14 +58,14 @@ class MappedFrame:
 
     @property
     def summary(self) -> MapSummary | None:
-        """How many pads were found; None where there is no map."""
+        """Counts of squares and pads; None where there is no map."""
         if self.mapped is None:
             return self.kept
         reasons = [pad.reason for pad in self.mapped.pads if pad.cell is None]
         return MapSummary(len(self.mapped.pads), self.mapped.found, reasons[0] if reasons else "")
 
-    def without_pixels(self) -> "MappedFrame":
-        """The same for a list of many."""
+    def drop_pixels(self) -> "MappedFrame":
+        """Return a copy without pixels, for a list of many frames."""
         return replace(self, picture=None, mapped=None, kept=self.summary)
 
 
@@ -106,31 +106,31 @@ class HazardOutput:
         self.__exit__(None, None, None)
 
     def add(self, frame: MappedFrame) -> None:
-        """Write what is known of one frame."""
+        """Write one frame's map or reason."""
         if frame.mapped is None:
             self._rows.append({"file": frame.file, "reason": frame.reason})
             self._record(frame)
         else:
-            place = self._folder / _stem(frame.file) if self._many else self._folder
-            place.mkdir(exist_ok=True)
-            self._write_rasters(place, frame.mapped)
+            folder = self._folder / _make_folder_name(frame.file) if self._many else self._folder
+            folder.mkdir(exist_ok=True)
+            self._write_rasters(folder, frame.mapped)
             risk = encoded(draw_risk(frame.mapped), ".png")
-            (place / "risk.png").write_bytes(risk)
-            (place / "hazard.png").write_bytes(encoded(draw_overview(frame.mapped), ".png"))
-            self._rows += [_cells(frame, pad) for pad in frame.mapped.pads]
+            (folder / "risk.png").write_bytes(risk)
+            (folder / "hazard.png").write_bytes(encoded(draw_overview(frame.mapped), ".png"))
+            self._rows += [_make_row(frame, pad) for pad in frame.mapped.pads]
             self._record(frame, risk)
 
-    def _write_rasters(self, place: Path, mapped: HazardMap) -> None:
+    def _write_rasters(self, folder: Path, mapped: HazardMap) -> None:
         risk, view = mapped.risk, mapped.view
         a, b, c, d, e, f = view.affine
         corner = risk.origin + 0.5 - 0.5 * risk.step  # of the first pad's pixel, in cells
         grid = Affine(a, b, c + corner * a, d, e, f + corner * e) @ Affine.scale(risk.step)
-        crs = _crs(self._body, mapped)
+        crs = _make_crs(self._body, mapped)
         code = {"crs": crs, "transform": grid, "nodata": None}
         words = "seed's code" if mapped.slopes is None else "254 x expected dangerous share"
         tags = {"CODE": f"{words}; {REFUSED} refused", "METHOD": self._settings.method}
         bands = {"risk of a pad about the pixel": risk.code}
-        (place / "risk.tif").write_bytes(encode_geotiff(bands, code, tags))
+        (folder / "risk.tif").write_bytes(encode_geotiff(bands, code, tags))
         if mapped.slopes is None:
             return
         slopes = mapped.slopes
@@ -144,7 +144,7 @@ class HazardOutput:
         }
         real = {name: np.where(hidden, np.float32(np.nan), grid) for name, grid in real.items()}
         profile = {"crs": crs, "transform": Affine(*view.affine), "nodata": np.nan}
-        (place / "slopes.tif").write_bytes(encode_geotiff(real, profile, {"BASE_M": "3"}))
+        (folder / "slopes.tif").write_bytes(encode_geotiff(real, profile, {"BASE_M": "3"}))
 
     def _record(self, frame: MappedFrame, risk: bytes = b"") -> None:
         log, camera = self._log, frame.camera
@@ -155,47 +155,49 @@ class HazardOutput:
             image = recorded_image(eight_bits(frame.picture.values), camera)
             _add_image(log, topic_of(name, "image"), name, image, "jpeg")
             _add_image(log, topic_of(name, "risk"), name, risk, "png")
-            found, squares = frame.mapped.found, len(frame.mapped.pads)
-            message = f"{frame.file}: pads in {found} of {squares} squares"
+            n_pads, squares = frame.mapped.found, len(frame.mapped.pads)
+            message = f"{frame.file}: pads in {n_pads} of {squares} squares"
             factor = min(1.0, 2048 / max(camera.shape))
             log.add(
-                topic_of(name, "pads"), foxglove.IMAGE_ANNOTATIONS, _circles(frame.mapped, factor)
+                topic_of(name, "pads"),
+                foxglove.IMAGE_ANNOTATIONS,
+                _draw_circles(frame.mapped, factor),
             )
         content = {"level": foxglove.INFO, "message": message, "name": "optnav"}
         log.add("/log", foxglove.LOG, {**content, "file": frame.file, "line": 0})
 
 
-def _stem(file: str) -> str:
-    """The folder of a frame: its name without an ending, on one level."""
+def _make_folder_name(file: str) -> str:
+    """Name the folder of a frame: its file without an ending, on one level."""
     return Path(file.replace("\\", "/")).with_suffix("").as_posix().replace("/", "_")
 
 
-def _cells(frame: MappedFrame, pad: Pad) -> dict[str, object]:
-    """A row of pads.csv."""
+def _make_row(frame: MappedFrame, pad: Pad) -> dict[str, object]:
+    """Make a row of pads.csv."""
     row, col = pad.square
     cells: dict[str, object] = {"file": frame.file, "square_row": row, "square_col": col}
     cells["reason"] = pad.reason
     if pad.cell is None or frame.mapped is None or frame.camera is None:
         return cells
     view = frame.mapped.view
-    x, y = view.pixels(*pad.cell)
+    x, y = view.find_pixel(*pad.cell)
     cells |= {"x_px": x, "y_px": y}
     cells |= {name: value for name, value in pad.shares.items() if math.isfinite(value)}
     direction = frame.camera.unproject([x, y])
-    cells |= _vector("dir_camera", direction)
+    cells |= _split_vector("dir_camera", direction)
     if view.projection is not None and frame.row is not None:
         lat, lon = view.projection.latlon(*view.xy_m(*pad.cell))
         cells |= {"lat_deg": math.degrees(float(lat)), "lon_deg": math.degrees(float(lon))}
         if frame.row.camera_from_body is not None:
-            cells |= _vector("dir_body", frame.row.camera_from_body.inv().apply(direction))
+            cells |= _split_vector("dir_body", frame.row.camera_from_body.inv().apply(direction))
     return cells
 
 
-def _vector(name: str, vector: FloatArray) -> dict[str, float]:
+def _split_vector(name: str, vector: FloatArray) -> dict[str, float]:
     return {f"{name}_{axis}": float(value) for axis, value in zip("xyz", vector, strict=True)}
 
 
-def _crs(body: Body | None, mapped: HazardMap) -> Any:
+def _make_crs(body: Body | None, mapped: HazardMap) -> Any:
     projection = mapped.view.projection
     if body is None or projection is None:
         return None
@@ -209,16 +211,16 @@ def _add_image(log: MessageLog, topic: str, frame_id: str, image: bytes, kind: s
     log.add(topic, foxglove.COMPRESSED_IMAGE, {"data": data, "format": kind, "frame_id": frame_id})
 
 
-def _circles(mapped: HazardMap, factor: float) -> dict[str, Any]:
-    """The pads as circles in the recorded picture."""
+def _draw_circles(mapped: HazardMap, factor: float) -> dict[str, Any]:
+    """Draw the pads as circles in the recorded picture."""
     none = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
     view, circles = mapped.view, []
     for pad in mapped.pads:
         if pad.cell is None:
             continue
         row, col = pad.cell
-        x, y = view.pixels(row, col)
-        aside = view.pixels(row, col + 0.5 * mapped.risk.cells)
+        x, y = view.find_pixel(row, col)
+        aside = view.find_pixel(row, col + 0.5 * mapped.risk.cells)
         wide = max(2.0 * math.dist((x, y), aside) * factor, PAD_PX * factor)
         circles.append(
             {

@@ -1,33 +1,39 @@
-"""Pads for landing: the best place for one in each square of the ground that a picture shows.
+"""Pads for landing: their risk by slopes or by variance of brightness, and the best of each square.
 
-Source of the scheme (a pad of 20 m in squares of 200 m, an 8-bit code whose 255 refuses): B. S.
-Zhukov, Autonomous optical navigation near the Moon and small bodies, thesis summary, ch. 4.
+Source of the scheme (a pad of 20 m in squares of 200 m, an 8-bit code whose 255 refuses) and of the
+variance of a pad's brightness relative to the square of its mean: B. S. Zhukov, Autonomous optical
+navigation near the Moon and small bodies, thesis summary, ch. 4. The thresholds of shadow and of
+mean brightness, which it does not print, are ours (configs/models/hazard.toml): without those of
+the mean the criterion is worse than chance, because slopes that face the Sun have the least
+contrast.
 """
 
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 
 from catalog.arrays import BoolArray, ByteArray, Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from catalog.terrain.slopes import slope_degrees
-from optnav_cli.hazard.ground_view import MIN_PAD_CELLS, PictureOnGround, box_means
+from optnav_cli.hazard.ground_view import MIN_PAD_CELLS, PictureOnGround, average_boxes
 from optnav_cli.hazard.model import HazardModel
 from optnav_cli.hazard.shading import ShadedSlopes
 
 REFUSED = 255
 MAX_CODE = 254
 WHOLE = 0.9999  # of a pad that the picture shows; sums of shares round
+SCALE = 1000.0  # of the code over variance / mean^2, the paper's A
 
 
 @dataclass(frozen=True, eq=False)
 class RiskMap:
-    """How risky a pad is, (rows, cols) by its middle.
+    """Risk of each pad, (rows, cols) by its middle.
 
-    score    what the best pad has least of; infinite where refused
-    refused  by reason, in the order in which they are told
+    score    lower is better; infinite where refused
+    refused  by reason, in the order of the report
     origin   (fractional) cell of a view where the first pad's middle lies, down and across alike
     step     cells of the view from one pad to the next
     cells    of the view that a pad is wide
@@ -59,8 +65,8 @@ class Pad:
     reason: str = ""
 
 
-def pad_cells(view: PictureOnGround, pad_m: float) -> int:
-    """The least odd number of cells that a pad fits into.
+def count_pad_cells(view: PictureOnGround, pad_m: float) -> int:
+    """Count the cells of a pad's side: the least odd number that it fits into.
 
     Raises NoSolutionError for a pad of under three cells or wider than the picture.
     """
@@ -81,39 +87,139 @@ def pad_cells(view: PictureOnGround, pad_m: float) -> int:
     return cells + 1 - cells % 2
 
 
-def risk_of_slopes(
+def rate_slopes(
     view: PictureOnGround, slopes: ShadedSlopes, pad_m: float, model: HazardModel
 ) -> RiskMap:
-    """The expected share of dangerous slopes on each pad; shaded and cut ones are refused."""
-    cells = pad_cells(view, pad_m)
-    shown = box_means(view.valid.astype(np.float32), cells, 0.0) >= WHOLE
+    """Rate each pad by its expected share of dangerous slopes; refuse shaded and cut ones."""
+    cells = count_pad_cells(view, pad_m)
+    shown = average_boxes(view.valid.astype(np.float32), cells, 0.0) >= WHOLE
     degrees = slope_degrees(np.stack([slopes.toward, slopes.across]))
     shares = {
-        "expected_dangerous_share": box_means(slopes.dangerous, cells, 0.0),
-        "expected_critical_share": box_means(slopes.critical, cells, 0.0),
-        "shadow_share": box_means(slopes.shadow, cells, 0.0),
-        "mean_slope_deg": box_means(degrees, cells, 0.0),
+        "expected_dangerous_share": average_boxes(slopes.dangerous, cells, 0.0),
+        "expected_critical_share": average_boxes(slopes.critical, cells, 0.0),
+        "shadow_share": average_boxes(slopes.shadow, cells, 0.0),
+        "mean_slope_deg": average_boxes(degrees, cells, 0.0),
     }
     refused = {
         "not whole in the picture": ~shown,
-        "shadow": shares["shadow_share"] > model.max_shadow_under(view.sun_elevation_deg),
+        "shadow": shares["shadow_share"] > model.limit_shadow(view.sun_elevation_deg),
     }
     expected = np.clip(shares["expected_dangerous_share"], 0.0, 1.0)
     score = expected + shares["mean_slope_deg"] * np.float32(math.radians(model.flatness))
     score += shares["expected_critical_share"]
-    return with_refusals(
-        RiskMap(score, refused, 0.0, 1, cells, coded(MAX_CODE * expected), shares), {}
+    return add_refusals(
+        RiskMap(score, refused, 0.0, 1, cells, encode_risk(MAX_CODE * expected), shares), {}
     )
 
 
-def coded(values: Float32Array | FloatArray) -> ByteArray:
-    """Codes 0..254 of numbers."""
+def map_variance(view: PictureOnGround, pad_m: float, model: HazardModel) -> RiskMap:
+    """Map the code of each pad, at the paper's step of 5 m.
+
+    Raises NoSolutionError for a pad under three steps or wider than the picture, or a dark picture.
+    """
+    numbers = model.variance
+    many = max(1, round(numbers.cell_m / view.cell_m))
+    wide = round(pad_m / (many * view.cell_m))
+    rows, cols = (size // many for size in view.brightness.shape)
+    if wide < MIN_PAD_CELLS:
+        raise NoSolutionError(
+            f"a pad of {pad_m:g} m is under {MIN_PAD_CELLS} cells of {many * view.cell_m:.2f} m",
+            "small_pad",
+        )
+    if wide > min(rows, cols):
+        raise NoSolutionError(f"a pad of {pad_m:g} m is wider than the picture", "large_pad")
+    peak = find_usual_brightness(view)
+    shadow = (view.brightness < model.shadow * peak).astype(np.float32)
+    size = rows * many, cols * many
+    mean, square, dark, shown = (
+        average_pads(average_cells(layer[: size[0], : size[1]], many), wide)
+        for layer in (
+            view.brightness,
+            view.brightness**2,
+            shadow,
+            view.valid.astype(np.float32),
+        )
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        alpha = SCALE * np.maximum(square - mean * mean, 0.0) / (mean * mean)
+    alpha = np.where(np.isfinite(alpha), alpha, SCALE).astype(np.float32)
+    elevations = numbers.low_sun_deg, numbers.high_sun_deg
+    darkest, brightest = (
+        float(np.interp(view.sun_elevation_deg, elevations, pair))
+        for pair in (
+            (numbers.darkest_low, numbers.darkest_high),
+            (numbers.brightest_low, numbers.brightest_high),
+        )
+    )
+    refused = {
+        "not whole in the picture": shown < WHOLE,
+        "shadow": dark > model.max_shadow,
+        "turned from the Sun": mean < darkest * peak,
+        "turned to the Sun": mean > brightest * peak,
+    }
+    out = np.any(list(refused.values()), axis=0)
+    code = np.where(out, 255.0, np.minimum(alpha, 254.0)).astype(np.float32)
+    # the worst of the pads around weighs 0.2, the paper's; refused pads count as the worst, and a
+    # border has none beyond it
+    risk = code + np.float32(0.2) * find_worst_neighbour(code)
+    made = RiskMap(
+        risk,
+        refused,
+        origin=0.5 * (wide * many - 1),
+        step=many,
+        cells=wide * many,
+        code=encode_risk(np.minimum(risk, 254.0)),
+        shares={"shadow_share": dark},
+    )
+    return add_refusals(made, {})
+
+
+def find_usual_brightness(view: PictureOnGround) -> float:
+    """Find the most frequent brightness of lit ground: the peak of the smoothed histogram."""
+    values = view.brightness[view.valid]
+    if not values.size:
+        raise NoSolutionError("the picture shows no ground that can be used", "no_ground")
+    top = float(np.quantile(values, 0.995))
+    if not top > 0.0:
+        raise NoSolutionError("the picture holds no light", "night")
+    # below 5 % of the brightest the histogram is of shadow; a width of 4 of 256 bins smooths it
+    counts, edges = np.histogram(values, 256, (0.05 * top, 1.1 * top))
+    smooth = cv2.GaussianBlur(counts.astype(np.float32)[None], (0, 0), 4.0)
+    at = int(np.argmax(smooth))
+    return float(0.5 * (edges[at] + edges[at + 1]))
+
+
+def average_cells(values: Float32Array, many: int) -> Float32Array:
+    """Average squares of many x many; the sides are multiples of it."""
+    rows, cols = values.shape
+    grid = values.reshape(rows // many, many, cols // many, many)
+    means: Float32Array = grid.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
+    return means
+
+
+def average_pads(cells: Float32Array, wide: int) -> Float32Array:
+    """Average pads that begin at each cell: (rows - wide + 1, cols - wide + 1)."""
+    views = np.lib.stride_tricks.sliding_window_view(cells, (wide, wide))
+    means: Float32Array = views.mean(axis=(2, 3), dtype=np.float64).astype(np.float32)
+    return means
+
+
+def find_worst_neighbour(code: Float32Array) -> Float32Array:
+    """Find the largest of the 8 values around each; beyond the border there are none."""
+    kernel = np.ones((3, 3), np.uint8)
+    kernel[1, 1] = 0
+    worst = cv2.dilate(code, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0.0)
+    return worst.astype(np.float32, copy=False)
+
+
+def encode_risk(values: Float32Array | FloatArray) -> ByteArray:
+    """Round numbers to codes 0..254."""
     code: ByteArray = np.clip(np.rint(values), 0, MAX_CODE).astype(np.uint8)
     return code
 
 
-def with_refusals(risk: RiskMap, more: Mapping[str, BoolArray]) -> RiskMap:
-    """The same map with more pads refused."""
+def add_refusals(risk: RiskMap, more: Mapping[str, BoolArray]) -> RiskMap:
+    """Return the map with more pads refused."""
     refused = {**risk.refused, **more}
     score, code = risk.score.copy(), risk.code.copy()
     for places in refused.values():
@@ -122,27 +228,27 @@ def with_refusals(risk: RiskMap, more: Mapping[str, BoolArray]) -> RiskMap:
 
 
 def choose_pads(view: PictureOnGround, risk: RiskMap, square_m: float) -> list[Pad]:
-    """The best pad of each square; squares lie about the middle of the view.
+    """Choose the best pad of each square; squares lie about the middle of the view.
 
     Pads lie whole in their square. A picture narrower than a square is one.
     """
     pads = []
-    for square, (first, last) in _squares(view, square_m):
+    for square, (first, last) in _divide_view(view, square_m):
         # indices of pads whose outermost cells lie in the square
         reach = 0.5 * (risk.cells - 1)
         low = [math.ceil((a + reach - risk.origin) / risk.step - 1e-9) for a in first]
         high = [math.floor((b - reach - risk.origin) / risk.step + 1e-9) for b in last]
-        place = tuple(
+        window = tuple(
             slice(max(a, 0), min(b + 1, size)) for a, b, size in zip(low, high, risk.score.shape)
         )
-        pads.append(_best(risk, square, place))
+        pads.append(_choose_best(risk, square, window))
     return pads
 
 
-def _squares(
+def _divide_view(
     view: PictureOnGround, square_m: float
 ) -> Iterator[tuple[tuple[int, int], tuple[tuple[float, float], tuple[float, float]]]]:
-    """Row and column of squares, and their first and last cells, down and across."""
+    """Divide a view: row and column of squares, and their first and last cells, down and across."""
     shape = view.brightness.shape
     side = square_m / view.cell_m
     counts = [max(1, int(size / side + 1e-6)) for size in shape]
@@ -155,26 +261,26 @@ def _squares(
             yield (row, col), ((first[0], first[1]), (last[0], last[1]))
 
 
-def _best(risk: RiskMap, square: tuple[int, int], place: tuple[slice, ...]) -> Pad:
-    part = risk.score[place]
+def _choose_best(risk: RiskMap, square: tuple[int, int], window: tuple[slice, ...]) -> Pad:
+    part = risk.score[window]
     if not part.size:
         return Pad(square, None, {}, "no pad fits in")
     at = np.unravel_index(int(np.argmin(part)), part.shape)
     if not np.isfinite(part[at]):
-        return Pad(square, None, {}, _why_none(risk, place))
-    row, col = place[0].start + int(at[0]), place[1].start + int(at[1])
+        return Pad(square, None, {}, _explain_refusal(risk, window))
+    row, col = window[0].start + int(at[0]), window[1].start + int(at[1])
     shares = {name: float(values[row, col]) for name, values in risk.shares.items()}
     cell = risk.origin + risk.step * row, risk.origin + risk.step * col
     return Pad(square, cell, shares)
 
 
-def _why_none(risk: RiskMap, place: tuple[slice, ...]) -> str:
-    """The shares of a square's pads that are refused for each reason, the first one that holds."""
-    left = np.ones(risk.score[place].shape, bool)
+def _explain_refusal(risk: RiskMap, window: tuple[slice, ...]) -> str:
+    """List the shares of a square's pads that are refused, each by the first reason that holds."""
+    left = np.ones(risk.score[window].shape, bool)
     words = []
     for reason, refused in risk.refused.items():
-        now = left & refused[place]
+        now = left & refused[window]
         if now.any():
             words.append(f"{reason} {now.mean():.0%}")
-        left &= ~refused[place]
+        left &= ~refused[window]
     return ", ".join(words)

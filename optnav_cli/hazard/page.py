@@ -23,58 +23,58 @@ HEADER = (
 )
 
 
-def hazard_page(folder: Path) -> str:
-    """The page. Raises DataError for a folder that lacks its tables."""
+def make_hazard_page(folder: Path) -> str:
+    """Make the page. Raises DataError for a folder that lacks its tables."""
     manifest = read_manifest(folder)
     rows = PADS.rows(folder / PADS_FILE)
-    found = [row for row in rows if row["x_px"]]
-    shares = (row.number("expected_dangerous_share") for row in found)
+    chosen = [row for row in rows if row["x_px"]]
+    shares = (row.number("expected_dangerous_share") for row in chosen)
     expected = [share for share in shares if share is not None]
     files = list(dict.fromkeys(row["file"] for row in rows))
     numbers = [
         (str(len(files)), "pictures"),
-        (f"{len(found)} of {sum(bool(row['square_row']) for row in rows)}", "squares have a pad"),
+        (f"{len(chosen)} of {sum(bool(row['square_row']) for row in rows)}", "squares have a pad"),
     ]
     if expected:
         mean = sum(expected) / len(expected)
         numbers.append((f"{100.0 * mean:.1f} %", "of the pads are expected above 7°"))
-    table = html.table(HEADER, [_cells(row) for row in rows], text_columns=2)
+    table = html.table(HEADER, [_format_row(row) for row in rows], text_columns=2)
     sections = [
         html.section("Result", html.tiles(numbers)),
-        html.section("Maps", *_pictures(folder)),
+        html.section("Maps", *_show_pictures(folder)),
         html.section("Pads", html.folded(f"{len(rows)} squares", table)),
         html.section("How it was made", html.listing(json_text(manifest))),
     ]
-    words = f"{len(found)} pads on the ground of {len(files)} pictures"
+    words = f"{len(chosen)} pads on the ground of {len(files)} pictures"
     return html.page("Hazard map", words, sections)
 
 
-def _cells(row: CsvRow) -> tuple[str, ...]:
-    def shown(name: str, form: str, scale: float = 1.0) -> str:
+def _format_row(row: CsvRow) -> tuple[str, ...]:
+    def format_number(name: str, form: str, scale: float = 1.0) -> str:
         value = row.number(name)
         return "" if value is None else format(scale * value, form)
 
-    def percent(name: str) -> str:
-        return shown(name, ".1f", 100.0)
+    def format_percent(name: str) -> str:
+        return format_number(name, ".1f", 100.0)
 
-    def pair(one: str, other: str, form: str) -> str:
-        return f"{shown(one, form)}, {shown(other, form)}" if row[one] else ""
+    def format_pair(first: str, second: str, form: str) -> str:
+        return f"{format_number(first, form)}, {format_number(second, form)}" if row[first] else ""
 
     return (
         row["file"],
         f"{row['square_row']}, {row['square_col']}" if row["square_row"] else "",
-        pair("x_px", "y_px", ".0f"),
-        pair("lat_deg", "lon_deg", ".5f"),
-        percent("expected_dangerous_share"),
-        percent("expected_critical_share"),
-        percent("shadow_share"),
-        shown("mean_slope_deg", ".1f"),
+        format_pair("x_px", "y_px", ".0f"),
+        format_pair("lat_deg", "lon_deg", ".5f"),
+        format_percent("expected_dangerous_share"),
+        format_percent("expected_critical_share"),
+        format_percent("shadow_share"),
+        format_number("mean_slope_deg", ".1f"),
         row["reason"],
     )
 
 
-def _pictures(folder: Path) -> Iterator[Markup]:
-    """The overviews of the first frames; a frame without a map has none."""
+def _show_pictures(folder: Path) -> Iterator[Markup]:
+    """Show the overviews of the first frames; a frame without a map has none."""
     paths = sorted(folder.glob(f"*/{OVERVIEW}")) or [folder / OVERVIEW]
     for path in paths[:MAX_PICTURES]:
         try:

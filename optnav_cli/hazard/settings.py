@@ -16,7 +16,7 @@ Method = Literal["shading", "variance"]
 
 
 class HazardSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The whole config of a hazard map; see configs/templates/hazard.toml."""
+    """The config of a hazard map; see configs/templates/hazard.toml."""
 
     method: Method = "shading"
     pad_m: Length = 20.0
@@ -30,7 +30,7 @@ OPTIONS = ("method", "pad_m", "square_m")  # that the command line may set, too
 
 
 def load_settings(path: Path | None, options: Mapping[str, Any]) -> HazardSettings:
-    """The settings of a file, or the defaults; options that are not None come first.
+    """Load the settings of a file, or the defaults; options that are not None take precedence.
 
     Raises ConfigError for a wrong file.
     """

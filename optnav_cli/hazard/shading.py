@@ -3,13 +3,13 @@
 Under a low Sun brightness tells the slope along the Sun nearly exactly, and a surface ties the
 other component to it: heights h of the spectrum P_h that fit the measured slopes p along the Sun
 are, in Fourier space, p k_p / (i (k_p^2 + N / P_h)). Where the picture does not show the ground
-(beyond its edges, in holes) p is what those heights say, found by iterating; a picture that is
+(beyond its edges, in holes) p is what those heights give, found by iterating; a picture that is
 merely mirrored or cut off there puts streaks along the Sun into the other component.
 
 A pixel in shadow is as dark as ground that the Sun just grazes, and is taken for it: from the crest
 to the shadow's end the ground falls by just as much.
 
-Approximations, ours: the mean slope of a picture is taken for zero, as brightness does not tell it.
+Approximations, ours: the mean slope of a picture is taken for zero, as brightness does not show it.
 """
 
 import math
@@ -26,8 +26,8 @@ from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import unit
 from catalog.photometry.laws import law_by_name
 from catalog.terrain.slopes import BASE_M, CRITICAL_DEG, DANGEROUS_DEG
-from optnav_cli.hazard.ground_view import PictureOnGround, box_means, resized
-from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, error_terms
+from optnav_cli.hazard.ground_view import PictureOnGround, average_boxes, resize_grid
+from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, interpolate_terms
 
 MARGIN_CELLS = 64  # around the picture, which its ground is continued over
 PASSES = 8  # of continuing it: more gain little
@@ -46,7 +46,7 @@ CHANCES: Float32Array = ndtr(
 
 
 class ShadedSlopes(NamedTuple):
-    """What shading tells of the ground, (rows, cols) each.
+    """Slopes and their risk from shading, (rows, cols) each.
 
     toward, across  tangents of the slope on BASE_M: along the direction to the Sun, and along that
                     turned left by 90 deg
@@ -64,63 +64,63 @@ class ShadedSlopes(NamedTuple):
 
 
 def map_slopes(view: PictureOnGround, model: HazardModel, law: str = "hapke") -> ShadedSlopes:
-    """Slopes of the ground that a picture shows.
+    """Map the slopes of the ground that a picture shows.
 
     law  of brightness, as `catalog.photometry` names it
     Raises NoSolutionError for a picture without contrast or light.
     """
-    curves = _curves(view, law)
-    level = level_brightness(view, curves)
+    curves = _compute_curves(view, law)
+    level = find_level_brightness(view, curves)
     toward, shadow = np.empty((2, *view.brightness.shape), np.float32)
     _invert(view.brightness, curves.slopes, 1.0 / level, model.shadow, toward, shadow)
     numbers = model.shading
-    toward, across = _complete(view, toward, curves, numbers.noise, numbers.spectrum)
+    toward, across = _complete_slopes(view, toward, curves, numbers.noise, numbers.spectrum)
     across_base = max(1, round(BASE_M / view.cell_m))
-    toward, across = box_means(toward, across_base), box_means(across, across_base)
-    return rated(view, toward, across, shadow, model)
+    toward, across = average_boxes(toward, across_base), average_boxes(across, across_base)
+    return rate_danger(view, toward, across, shadow, model)
 
 
-def rated(
+def rate_danger(
     view: PictureOnGround,
     toward: Float32Array,
     across: Float32Array,
     shadow: Float32Array,
     model: HazardModel,
 ) -> ShadedSlopes:
-    """The slopes with how likely they are dangerous."""
+    """Rate how likely slopes are dangerous."""
     numbers = model.shading
-    squares, local, regional, dark = _surroundings(view, toward, across, shadow, model)
+    squares, local, regional, dark = _average_surroundings(view, toward, across, shadow, model)
     dangerous, critical, sigma = np.empty((3, *squares.shape), np.float32)
     # the sigma that is stated is that of slopes about the lower limit
     for part, limit, out in (
         (numbers.critical, CRITICAL_DEG, critical),
         (numbers.dangerous, DANGEROUS_DEG, dangerous),
     ):
-        terms = _terms(part, model, view, limit)
+        terms = _combine_terms(part, model, view, limit)
         _rate(squares, local, regional, dark, terms, out, sigma)
     return ShadedSlopes(toward, across, dangerous, critical, sigma, shadow)
 
 
-def _surroundings(
+def _average_surroundings(
     view: PictureOnGround,
     toward: Float32Array,
     across: Float32Array,
     shadow: Float32Array,
     model: HazardModel,
 ) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
-    """Squared slopes, their means near and farther about, and the share of shadow near."""
+    """Compute squared slopes, their means near and farther about, and the share of shadow near."""
     numbers, cell = model.shading, view.cell_m
     squares = toward * toward + across * across
-    near, farther = _cells(numbers.local_m, cell), _cells(numbers.regional_m, cell)
-    means = box_means(squares, near), box_means(squares, farther)
-    return squares, *means, box_means(shadow, near)
+    near, farther = _count_cells(numbers.local_m, cell), _count_cells(numbers.regional_m, cell)
+    means = average_boxes(squares, near), average_boxes(squares, farther)
+    return squares, *means, average_boxes(shadow, near)
 
 
-def rating_features(
+def compute_rating_features(
     view: PictureOnGround, slopes: ShadedSlopes, model: HazardModel
 ) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
-    """What danger is told from: the slope, its rms near and farther about, the share of shadow."""
-    parts = _surroundings(view, slopes.toward, slopes.across, slopes.shadow, model)
+    """Compute what rates danger: slope, its rms near and farther about, the share of shadow."""
+    parts = _average_surroundings(view, slopes.toward, slopes.across, slopes.shadow, model)
     return np.sqrt(parts[0]), np.sqrt(parts[1]), np.sqrt(parts[2]), parts[3]
 
 
@@ -136,8 +136,8 @@ class Curves(NamedTuple):
     aside: FloatArray
 
 
-def _curves(view: PictureOnGround, law: str) -> Curves:
-    """Tables of a law at the corners, edges and middle of a view."""
+def _compute_curves(view: PictureOnGround, law: str) -> Curves:
+    """Tabulate a law at the corners, edges and middle of a view."""
     rows, cols = view.brightness.shape
     azimuth, reflectance = view.sun_azimuth, law_by_name(law)
     toward = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
@@ -147,35 +147,39 @@ def _curves(view: PictureOnGround, law: str) -> Curves:
     q = np.array([-0.02, 0.02])
     slopes, aside = np.empty((3, 3, STEPS), np.float32), np.empty((3, 3))
 
-    def brightness(along: FloatArray, over: FloatArray, to_camera: FloatArray) -> FloatArray:
+    def compute_brightness(
+        along: FloatArray, over: FloatArray, to_camera: FloatArray
+    ) -> FloatArray:
         normals = np.array([0.0, 0.0, 1.0]) - along[:, None] * toward - over[:, None] * left
         normals = unit(normals)
         return reflectance(normals @ view.sun, normals @ to_camera, float(view.sun @ to_camera))
 
     zero = np.zeros(1)
-    middle = float(brightness(zero, zero, unit(view.camera_m))[0])
+    middle = float(compute_brightness(zero, zero, unit(view.camera_m))[0])
     for i, row in enumerate((0.0, 0.5 * (rows - 1), rows - 1.0)):
         for j, col in enumerate((0.0, 0.5 * (cols - 1), cols - 1.0)):
             x, y = view.xy_m(row, col)
             to_camera = unit(view.camera_m - np.array([float(x), float(y), 0.0]))
-            ratio = brightness(p, np.zeros(p.size), to_camera) / middle
+            ratio = compute_brightness(p, np.zeros(p.size), to_camera) / middle
             ratio[0] = 0.0
             top = int(np.argmax(ratio)) + 1  # ground beyond gets darker again
             rising = np.maximum.accumulate(ratio[:top]) + 1e-9 * np.arange(top)
             slopes[i, j] = np.interp(np.linspace(0.0, MAX_RATIO, STEPS), rising, p[:top])
             level = np.zeros(2)
-            by_p, by_q = brightness(q, level, to_camera), brightness(level, q, to_camera)
+            by_p, by_q = (
+                compute_brightness(q, level, to_camera),
+                compute_brightness(level, q, to_camera),
+            )
             aside[i, j] = (by_q[1] - by_q[0]) / (by_p[1] - by_p[0])
     return Curves(slopes, aside)
 
 
-def level_brightness(view: PictureOnGround, curves: Curves) -> float:
-    """The brightness of level ground at the middle of the view: that which makes the mean slope
-    along the Sun vanish.
+def find_level_brightness(view: PictureOnGround, curves: Curves) -> float:
+    """Find the brightness of level ground at the view's middle: the mean slope along the Sun is 0.
 
     Raises NoSolutionError for a picture without light.
     """
-    probes = np.ix_(*(_probes(size) for size in view.valid.shape))
+    probes = np.ix_(*(_place_probes(size) for size in view.valid.shape))
     rows, cols = np.nonzero(view.valid[probes])
     if not rows.size:
         raise NoSolutionError("the picture shows no ground that can be used", "no_ground")
@@ -196,8 +200,8 @@ def level_brightness(view: PictureOnGround, curves: Curves) -> float:
     return math.exp(0.5 * (low + high))
 
 
-def _probes(size: int) -> IntArray:
-    """Cells about PROBE apart, alike from both sides: a turned picture has the same ones."""
+def _place_probes(size: int) -> IntArray:
+    """Return cells about PROBE apart, symmetric: a turned picture has the same ones."""
     first = np.arange(0, (size + 1) // 2, PROBE)
     return np.unique(np.concatenate([first, size - 1 - first]))
 
@@ -236,79 +240,85 @@ def _invert(
             out[i, j] = total
 
 
-def _complete(
+def _complete_slopes(
     view: PictureOnGround, toward: Float32Array, curves: Curves, noise: float, spectrum: float
 ) -> tuple[Float32Array, Float32Array]:
-    """Slopes along and across the Sun of the whole picture, from what brightness says of the first.
+    """Complete slopes along and across the Sun from those that brightness gives along it.
 
     The ground beyond is continued at half the resolution: what it does to the picture is smooth.
     """
     rows, cols = toward.shape
-    aside = resized(curves.aside.astype(np.float32), (cols, rows))  # smooth: places hardly count
+    aside = resize_grid(
+        curves.aside.astype(np.float32), (cols, rows)
+    )  # smooth: places hardly count
     slanted = float(np.abs(curves.aside).max()) > MAX_ASIDE
-    continued, across = _continued(view, toward, aside if slanted else None, (noise, spectrum))
+    continued, across = _continue_slopes(
+        view, toward, aside if slanted else None, (noise, spectrum)
+    )
     toward = toward - aside * across if slanted else toward
     margin = MARGIN_CELLS
-    big = resized(continued, (continued.shape[1] * 2, continued.shape[0] * 2))
+    big = resize_grid(continued, (continued.shape[1] * 2, continued.shape[0] * 2))
     inside = big[margin : margin + rows, margin : margin + cols]
     np.copyto(inside, toward, where=view.valid)
     spread = fft.rfft2(big)
-    filters = _filters(big.shape, view.cell_m, view.sun_azimuth, noise, spectrum)
-    found = fft.irfft2(spread * filters.across, s=big.shape)
-    across = found[margin : margin + rows, margin : margin + cols]
+    filters = _make_filters(big.shape, view.cell_m, view.sun_azimuth, noise, spectrum)
+    full = fft.irfft2(spread * filters.across, s=big.shape)
+    across = full[margin : margin + rows, margin : margin + cols]
     return np.where(view.valid, toward, inside), np.ascontiguousarray(across)
 
 
-def _continued(
+def _continue_slopes(
     view: PictureOnGround,
     toward: Float32Array,
     aside: Float32Array | None,
     numbers: tuple[float, float],
 ) -> tuple[Float32Array, Float32Array]:
-    """Slopes along the Sun of the picture and its surroundings, every second cell; and those across
-    it of the picture (zeros where `aside` is None)."""
+    """Continue slopes along the Sun over the picture's surroundings, every second cell.
+
+    Also returns the picture's slopes across the Sun (zeros where `aside` is None).
+    """
     rows, cols = toward.shape
     half = MARGIN_CELLS // 2
-    shape = tuple(_fast(size + 2 * MARGIN_CELLS) // 2 for size in (rows, cols))
+    shape = tuple(_find_fast_length(size + 2 * MARGIN_CELLS) // 2 for size in (rows, cols))
     high, wide = (rows + 1) // 2, (cols + 1) // 2
-    place = slice(half, half + high), slice(half, half + wide)
+    inside = slice(half, half + high), slice(half, half + wide)
     weights = view.valid.astype(np.float32)
     padding = ((0, 2 * high - rows), (0, 2 * wide - cols))
     if padding != ((0, 0), (0, 0)):
         toward, weights = np.pad(toward, padding, "edge"), np.pad(weights, padding)
-    sums = resized(toward * weights, (wide, high))
-    share = resized(weights, (wide, high))
+    sums = resize_grid(toward * weights, (wide, high))
+    share = resize_grid(weights, (wide, high))
     known = share > 0.5
     data = np.divide(sums, share, out=np.zeros_like(sums), where=known)
-    small = None if aside is None else resized(aside, (wide, high))
-    filters = _filters(shape, 2.0 * view.cell_m, view.sun_azimuth, *numbers)
+    small = None if aside is None else resize_grid(aside, (wide, high))
+    filters = _make_filters(shape, 2.0 * view.cell_m, view.sun_azimuth, *numbers)
     field, before = np.zeros(shape, np.float32), None
-    field[place] = data
+    field[inside] = data
     across = np.zeros((high, wide), np.float32)
     for number in range(PASSES):
         spread = fft.rfft2(field)
         smooth = fft.irfft2(spread * filters.toward, s=shape)
         if small is not None:
-            across = fft.irfft2(spread * filters.across, s=shape)[place]
+            across = fft.irfft2(spread * filters.across, s=shape)[inside]
         # Nesterov's momentum: what lies far from the picture settles in fewer passes
         ahead = 0.0 if before is None else number / (number + 3.0)
         field = smooth if before is None else smooth + np.float32(ahead) * (smooth - before)
         before = smooth
         measured = data if small is None else data - small * across
-        field[place] = np.where(known, measured, field[place])
-    full = resized(across, (2 * wide, 2 * high))[:rows, :cols]
+        field[inside] = np.where(known, measured, field[inside])
+    full = resize_grid(across, (2 * wide, 2 * high))[:rows, :cols]
     return field, full
 
 
 class Filters(NamedTuple):
-    """What takes the spectrum of slopes along the Sun to those of the heights that fit them."""
+    """Filters from the spectrum of slopes along the Sun to the slopes of the fitted heights."""
 
     toward: Float32Array
     across: Float32Array
 
 
 @lru_cache(maxsize=4)
-def _filters(
+def _make_filters(
     shape: tuple[int, int], cell_m: float, azimuth: float, noise: float, spectrum: float
 ) -> Filters:
     rows, cols = shape
@@ -326,34 +336,34 @@ def _filters(
     return Filters((along * gain).astype(np.float32), (left * gain).astype(np.float32))
 
 
-def _fast(size: int) -> int:
-    """An even length at least this, of which a transform is quick and so is that of its half."""
+def _find_fast_length(size: int) -> int:
+    """Find an even length of at least this whose transform, and that of its half, is fast."""
     return 2 * int(fft.next_fast_len((size + 1) // 2, real=True))
 
 
-def _cells(length_m: float, cell_m: float) -> int:
-    """The odd number of cells that is nearest to a length."""
+def _count_cells(length_m: float, cell_m: float) -> int:
+    """Count the cells of a length: the nearest odd number."""
     return max(1, 2 * round(0.5 * (length_m / cell_m - 1.0)) + 1)
 
 
-def narrowness(view: PictureOnGround, model: HazardModel) -> float:
-    """How much smaller a picture is than those that show all waves: 0; 1 for a quarter."""
+def compute_narrowness(view: PictureOnGround, model: HazardModel) -> float:
+    """Compute how much smaller a picture is than one that shows all waves: 0; 1 for a quarter."""
     wide = math.sqrt(float(np.count_nonzero(view.valid))) * view.cell_m
     return max(math.sqrt(model.shading.wide_m / max(wide, view.cell_m)) - 1.0, 0.0)
 
 
-def _terms(
+def _combine_terms(
     part: ErrorOfSlopes, model: HazardModel, view: PictureOnGround, limit_deg: float
 ) -> Float32Array:
-    """Of a view, as `_rate` takes them."""
+    """Combine the terms of a view for `_rate`."""
     elevations, elevation = model.shading.sun_elevation_deg, view.sun_elevation_deg
-    limit, local, regional, dark, sigma, by_local, by_dark, narrow, by_narrow = error_terms(
+    limit, local, regional, dark, sigma, by_local, by_dark, narrow, by_narrow = interpolate_terms(
         part, elevations, elevation
     )
-    x = narrowness(view, model)
+    x = compute_narrowness(view, model)
     limit *= math.tan(math.radians(limit_deg))
-    found = limit, local, regional + x * narrow, dark, sigma, by_local, by_dark, x * by_narrow
-    return np.array(found, np.float32)
+    combined = limit, local, regional + x * narrow, dark, sigma, by_local, by_dark, x * by_narrow
+    return np.array(combined, np.float32)
 
 
 @kernel
@@ -366,9 +376,9 @@ def _rate(
     out: Float32Array,
     sigma: Float32Array,
 ) -> None:
-    """Fill how likely slopes (their squares) are above a limit; terms as `_terms` has them."""
+    """Fill how likely slopes (their squares) are above a limit; terms: see `_combine_terms`."""
     limit, by_local, by_regional, by_dark = terms[0], terms[1], terms[2], terms[3]
-    own, more_local, more_dark, more_regional = terms[4], terms[5], terms[6], terms[7]
+    base, more_local, more_dark, more_regional = terms[4], terms[5], terms[6], terms[7]
     steps, reach, least = np.float32(CHANCE_STEPS), np.float32(CHANCE_REACH), np.float32(0.01)
     last = 2.0 * reach * steps - np.float32(1.0)
     for i in range(squares.shape[0]):
@@ -376,7 +386,7 @@ def _rate(
             s, r, f = np.sqrt(squares[i, j]), np.sqrt(local[i, j]), dark[i, j]
             wide = np.sqrt(regional[i, j])
             above = s - limit + by_local * r + by_regional * wide + by_dark * f
-            width = max(own + more_local * r + more_dark * f + more_regional * wide, least)
+            width = max(base + more_local * r + more_dark * f + more_regional * wide, least)
             sigma[i, j] = width
             at = min(max((above / width + reach) * steps, np.float32(0.0)), last)
             k = int(at)

@@ -16,7 +16,7 @@ from catalog.rasters import DESCRIPTION, encode_geotiff, is_described
 from catalog.terrain.dem.georeference import Georeference
 from catalog.terrain.dem.source import DemSource
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, SlopeSummary, summarize
-from optnav_cli.hazard.drawing import MAX_SLOPE_DEG, OUTSIDE_COLOUR, TEXT_COLOUR, coloured
+from optnav_cli.hazard.drawing import MAX_SLOPE_DEG, OUTSIDE_COLOUR, TEXT_COLOUR, map_colours
 from optnav_cli.output.canvas import Canvas, encoded
 from optnav_cli.output.wording import table_lines
 
@@ -29,13 +29,13 @@ STEPS = 40  # of the histogram
 
 @dataclass(frozen=True)
 class MeasuredSlopes:
-    """What a model's slopes are."""
+    """Slope statistics of a terrain model."""
 
     dem: Path
     summary: SlopeSummary
 
     def figures(self) -> dict[str, object]:
-        """For programs."""
+        """Return the figures for programs."""
         summary = self.summary
         return {
             "dem": self.dem,
@@ -49,7 +49,7 @@ class MeasuredSlopes:
         }
 
     def to_text(self) -> str:
-        """For people."""
+        """Format as a table for people."""
         s = self.summary
         rows = [
             ("slopes on a base of", f"{s.base_m:.6g} m"),
@@ -80,14 +80,14 @@ def measure_slopes(
     source = DemSource.open_alone(dem, load_body(body), nodata)
     try:
         summary, degrees = summarize(source, base_m)
-        place = source.place
+        georeference = source.place
     finally:
         source.close()
     if output is not None and output.suffix.lower() == ".png":
         with replacing_file(output, starts_with(PNG)) as path:
-            path.write_bytes(encoded(_drawn(degrees, summary), ".png"))
+            path.write_bytes(encoded(_draw(degrees, summary), ".png"))
     elif output is not None:
-        _write(output, degrees, place)
+        _write(output, degrees, georeference)
     return MeasuredSlopes(dem, summary)
 
 
@@ -103,12 +103,12 @@ def _is_ours(path: Path) -> bool:
     return is_described(path, MADE)
 
 
-def _drawn(degrees: Float32Array, summary: SlopeSummary) -> ByteArray:
-    """The map in colours and, beside it, the histogram in the same ones."""
+def _draw(degrees: Float32Array, summary: SlopeSummary) -> ByteArray:
+    """Draw the map in colours and beside it the histogram in the same colours."""
     factor = min(1.0, MAX_PX / max(degrees.shape))
     size = tuple(max(1, round(side * factor)) for side in degrees.shape[::-1])
     hole = ~np.isfinite(degrees)
-    colours = coloured(degrees, MAX_SLOPE_DEG)
+    colours = map_colours(degrees, MAX_SLOPE_DEG)
     colours[hole] = OUTSIDE_COLOUR
     panel = cv2.resize(colours, size, interpolation=cv2.INTER_AREA)
     height = max(len(panel), GRAPH_PX)
@@ -123,7 +123,7 @@ def _drawn(degrees: Float32Array, summary: SlopeSummary) -> ByteArray:
     wide = GRAPH_PX // STEPS
     # all may lie beyond the graph
     scale = (bottom - MARGIN_PX) / max(*shares, 1e-9)
-    tints = coloured(np.arange(STEPS, dtype=np.float32)[None] + 0.5, STEPS)[0]
+    tints = map_colours(np.arange(STEPS, dtype=np.float32)[None] + 0.5, STEPS)[0]
     for number, share in enumerate(shares):
         x = left + number * wide
         tint = [int(part) for part in tints[number]]

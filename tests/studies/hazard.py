@@ -21,12 +21,11 @@ from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.progress import Progress
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, slope_components, slope_degrees
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.hazard.fusion import fuse
-from optnav_cli.hazard.ground_view import PictureOnGround, look_down, resized
-from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, hazard_model
-from optnav_cli.hazard.pads import Pad, RiskMap, choose_pads, risk_of_slopes
-from optnav_cli.hazard.shading import map_slopes, narrowness, rating_features
-from optnav_cli.hazard.variance import map_variance
+from optnav_cli.hazard.fusion import combine_slopes
+from optnav_cli.hazard.ground_view import PictureOnGround, look_down, resize_grid
+from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, load_hazard_model
+from optnav_cli.hazard.pads import Pad, RiskMap, choose_pads, map_variance, rate_slopes
+from optnav_cli.hazard.shading import compute_narrowness, compute_rating_features, map_slopes
 from tests.studies.hazard_fields import (
     CELL_M,
     JUDGED_M,
@@ -152,7 +151,7 @@ class HazardFigures:
 
 def run(progress: Progress, fields: int = 8, fit: bool = False) -> HazardFigures:
     """Judge all cases on so many fields of each ground; `fit` finds the model's numbers before."""
-    model, text, choices = hazard_model(), "", {}
+    model, text, choices = load_hazard_model(), "", {}
     if fit:
         model = fit_model(model, progress)
         text, choices = model_sections(model), judge_choices(model)
@@ -187,7 +186,7 @@ def judge_choices(model: HazardModel) -> dict[tuple[HazardCase, float, float], S
             slopes = map_slopes(view, model)
             for flatness, longer in CHOICES:
                 tried = msgspec.structs.replace(model, flatness=flatness, most_longer=longer)
-                risk = risk_of_slopes(view, slopes, PAD_M, tried)
+                risk = rate_slopes(view, slopes, PAD_M, tried)
                 pads = choose_pads(view, risk, SQUARE_M)
                 scores[case, flatness, longer].add_pads(pads, ground, truth)
     return scores
@@ -228,21 +227,21 @@ def _risk(
         return map_variance(view, PAD_M, model)
     slopes = map_slopes(view, model)
     if case.prior:
-        slopes = fuse(view, slopes, prior_slopes(ground, view), PRIOR_M, model)
-    return risk_of_slopes(view, slopes, PAD_M, model)
+        slopes = combine_slopes(view, slopes, prior_slopes(ground, view), PRIOR_M, model)
+    return rate_slopes(view, slopes, PAD_M, model)
 
 
 def prior_slopes(ground: GroundField, view: PictureOnGround) -> Float32Array:
     """What a map of slopes from orbit, with its error, says at the cells of a view."""
     many = round(PRIOR_M / (CELL_M * view.brightness.shape[0] / len(ground.heights)))
     size = len(ground.heights) // many
-    coarse = resized(ground.heights, (size, size))
+    coarse = resize_grid(ground.heights, (size, size))
     padded = np.pad(coarse, 1, mode="reflect", reflect_type="odd")
     degrees = slope_degrees(slope_components(padded, PRIOR_M, PRIOR_M, PRIOR_M))[1:-1, 1:-1]
     rng = np.random.default_rng([ground.seed, 31])
     degrees = np.abs(degrees + PRIOR_ERROR_DEG * rng.standard_normal(degrees.shape))
     rows, cols = view.brightness.shape
-    return resized(degrees.astype(np.float32), (cols, rows))
+    return resize_grid(degrees.astype(np.float32), (cols, rows))
 
 
 def judge_pictures(seed: int, model: HazardModel, scores: dict[float, Score]) -> None:
@@ -252,7 +251,7 @@ def judge_pictures(seed: int, model: HazardModel, scores: dict[float, Score]) ->
     for elevation, score in scores.items():
         picture = perspective_picture(ground, camera, PICTURE_HEIGHT_M, elevation, PICTURE_DRAWN_M)
         view = look_down(picture, camera, PICTURE_HEIGHT_M, elevation, ground.azimuth_deg())
-        risk = risk_of_slopes(view, map_slopes(view, model), PAD_M, model)
+        risk = rate_slopes(view, map_slopes(view, model), PAD_M, model)
         pads = choose_pads(view, risk, SQUARE_M)
         score.squares += len(pads)
         score.add_area(ground)
@@ -314,13 +313,13 @@ def _features(
     first = [at // many for at in corner]
     high, wide = (size // many for size in view.brightness.shape)
     true = np.nan_to_num(ground.degrees)[first[0] : first[0] + high, first[1] : first[1] + wide]
-    features = rating_features(view, map_slopes(view, model), model)
+    features = compute_rating_features(view, map_slopes(view, model), model)
     # slopes are judged at nodes, each of which is 2 x 2 cells
-    grids = [*(resized(part, true.shape[::-1]) for part in features), true]
+    grids = [*(resize_grid(part, true.shape[::-1]) for part in features), true]
     step = FIT_STEP if high * many > 2 * NARROW_CELLS else NARROW_STEP
     nodes = np.arange(FIT_BORDER, high - FIT_BORDER, step)
     rows = [grid[np.ix_(nodes, nodes)].ravel().astype(np.float64) for grid in grids]
-    rows.insert(4, np.full(rows[0].size, narrowness(view, model)))
+    rows.insert(4, np.full(rows[0].size, compute_narrowness(view, model)))
     return np.stack(rows)
 
 

@@ -26,7 +26,7 @@ from catalog.terrain.slopes import (
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.picture import Picture
-from optnav_cli.hazard.ground_view import PictureOnGround, box_means, resized
+from optnav_cli.hazard.ground_view import PictureOnGround, average_boxes, resize_grid
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
 
@@ -87,7 +87,7 @@ def make_field(kind: str, seed: int, nodes: int = NODES, posting_m: float = DRAW
     )
     heights = relief.local(SITE, posting_m, nodes)
     many = round(JUDGED_M / posting_m)
-    judged = resized(heights, (nodes // many, nodes // many))
+    judged = resize_grid(heights, (nodes // many, nodes // many))
     degrees = slope_degrees(slope_components(judged, JUDGED_M, JUDGED_M, BASE_M))
     return GroundField(kind, seed, heights, degrees)
 
@@ -128,7 +128,7 @@ def field_view(
     if off_nadir_deg:
         bright = _seen_from(bright, field.heights, camera[:2] / camera[2])
     size = len(bright) * DRAWN_M / CELL_M
-    cells = resized(bright, (round(size), round(size)))
+    cells = resize_grid(bright, (round(size), round(size)))
     cells = cv2.GaussianBlur(cells, (0, 0), BLUR_CELLS).astype(np.float32)
     rng = np.random.default_rng([field.seed, 99])
     mean = float(cells[cells > 0.1 * np.quantile(cells, 0.99)].mean())
@@ -197,7 +197,7 @@ def true_shares(field: GroundField, pad_cells: int) -> dict[str, Float32Array]:
     many = round(JUDGED_M / CELL_M)
     known = np.nan_to_num(field.degrees).repeat(many, axis=0).repeat(many, axis=1)
     return {
-        "dangerous": box_means((known > DANGEROUS_DEG).astype(np.float32), pad_cells),
-        "critical": box_means((known > CRITICAL_DEG).astype(np.float32), pad_cells),
-        "squares": box_means(known**2, pad_cells),
+        "dangerous": average_boxes((known > DANGEROUS_DEG).astype(np.float32), pad_cells),
+        "critical": average_boxes((known > CRITICAL_DEG).astype(np.float32), pad_cells),
+        "squares": average_boxes(known**2, pad_cells),
     }

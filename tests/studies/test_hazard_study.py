@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG
-from optnav_cli.hazard.model import hazard_model
-from optnav_cli.hazard.pads import choose_pads, risk_of_slopes
+from optnav_cli.hazard.model import load_hazard_model
+from optnav_cli.hazard.pads import choose_pads, rate_slopes
 from optnav_cli.hazard.shading import map_slopes
 from tests.studies import hazard as study
 from tests.studies.hazard_fields import (
@@ -16,7 +16,7 @@ from tests.studies.hazard_fields import (
     true_shares,
 )
 
-MODEL = hazard_model()
+MODEL = load_hazard_model()
 LIMITS = {"dangerous": DANGEROUS_DEG, "critical": CRITICAL_DEG}
 NUMBERS = [
     (part, name, number)
@@ -81,7 +81,7 @@ def test_pads_by_shading_are_safer_than_the_field_and_than_those_by_variance(sma
 def test_a_picture_on_half_a_map_has_its_pads_below_it(small):
     """Judging by cells of the whole field and by places from its middle agree."""
     view = field_view(small, 20.0)
-    risk = risk_of_slopes(view, map_slopes(view, MODEL), study.PAD_M, MODEL)
+    risk = rate_slopes(view, map_slopes(view, MODEL), study.PAD_M, MODEL)
     pads = choose_pads(view, risk, study.SQUARE_M)
     below = np.array(study.pads_below(small, view, pads))
     truth = true_shares(small, study.PAD_CELLS)

@@ -17,7 +17,7 @@ from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.frames.tables import PADS
-from optnav_cli.hazard.job import _catalog_heights
+from optnav_cli.hazard.job import _sample_catalog
 from optnav_cli.hazard.pads import REFUSED
 from optnav_cli.main import run
 from tests.catalog.made_catalogs import make_world
@@ -490,8 +490,8 @@ def test_heights_of_the_ground_come_from_the_nearest_point_of_a_catalog(tmp_path
     middle = patches[0].heights_m[15:17, 15:17].mean()
     lat, lon = np.radians([point.lat_deg, point.lon_deg])
     with Catalog.open(catalog_file) as catalog:
-        found = _catalog_heights(catalog, np.array([lat]), np.array([lon]))
-        far = _catalog_heights(catalog, np.array([lat]), np.array([lon]) + 0.05)
+        found = _sample_catalog(catalog, np.array([lat]), np.array([lon]))
+        far = _sample_catalog(catalog, np.array([lat]), np.array([lon]) + 0.05)
     assert found[0] == pytest.approx(middle, abs=25.0)
     assert np.isnan(far[0])
 

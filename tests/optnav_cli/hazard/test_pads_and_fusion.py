@@ -7,13 +7,13 @@ import pytest
 
 from catalog.errors import NoSolutionError
 from catalog.terrain.slopes import slope_components, slope_degrees
-from optnav_cli.hazard.fusion import fuse, too_steep
-from optnav_cli.hazard.model import hazard_model
-from optnav_cli.hazard.pads import REFUSED, choose_pads, pad_cells, risk_of_slopes
+from optnav_cli.hazard.fusion import combine_slopes, find_too_steep
+from optnav_cli.hazard.model import load_hazard_model
+from optnav_cli.hazard.pads import REFUSED, choose_pads, count_pad_cells, rate_slopes
 from optnav_cli.hazard.shading import ShadedSlopes, map_slopes
 from tests.optnav_cli.hazard.views import bumps, drawn, view_of
 
-MODEL = hazard_model()
+MODEL = load_hazard_model()
 
 
 def slopes_of(dangerous: np.ndarray, shadow: np.ndarray | None = None) -> ShadedSlopes:
@@ -27,7 +27,7 @@ def test_the_pad_of_each_square_is_its_safest_place() -> None:
     dangerous[20:31, 40:51] = 0.1
     dangerous[90:101, 100:111] = 0.2
     view = view_of(np.ones_like(dangerous))
-    risk = risk_of_slopes(view, slopes_of(dangerous), 11.0, MODEL)
+    risk = rate_slopes(view, slopes_of(dangerous), 11.0, MODEL)
     pads = {pad.square: pad for pad in choose_pads(view, risk, 60.0)}
     assert set(pads) == {(0, 0), (0, 1), (1, 0), (1, 1)}
     assert pads[0, 0].cell == (25.0, 45.0)
@@ -41,7 +41,7 @@ def test_pads_in_shadow_and_at_the_border_are_refused() -> None:
     shadow = np.zeros_like(dangerous)
     shadow[:, :30] = 1.0
     view = view_of(np.ones_like(dangerous))
-    risk = risk_of_slopes(view, slopes_of(dangerous, shadow), 9.0, MODEL)
+    risk = rate_slopes(view, slopes_of(dangerous, shadow), 9.0, MODEL)
     assert (risk.code[:, :30] == REFUSED).all()
     assert (risk.code[4:-4, 34:-4] < REFUSED).all()
     assert (risk.code[:4] == REFUSED).all()
@@ -53,7 +53,7 @@ def test_pads_in_shadow_and_at_the_border_are_refused() -> None:
 )
 def test_under_a_low_sun_the_shadows_of_the_same_rocks_are_let_pass(sun_deg, least) -> None:
     """As their lengths go, tan 20 deg / tan 10 deg = 2.06, but never over three times as much."""
-    assert MODEL.max_shadow_under(sun_deg) == pytest.approx(least, abs=5e-4)
+    assert MODEL.limit_shadow(sun_deg) == pytest.approx(least, abs=5e-4)
 
 
 def test_of_pads_as_safe_the_flattest_is_chosen_and_of_others_the_safest() -> None:
@@ -64,7 +64,7 @@ def test_of_pads_as_safe_the_flattest_is_chosen_and_of_others_the_safest() -> No
     slopes = slopes_of(dangerous)._replace(toward=steep)
     for at, safer in (((24.0, 44.0), 0.29), ((24.0, 14.0), 0.2)):
         dangerous[20:29, 10:19] = safer
-        (pad,) = choose_pads(view, risk_of_slopes(view, slopes, 9.0, MODEL), 60.0)
+        (pad,) = choose_pads(view, rate_slopes(view, slopes, 9.0, MODEL), 60.0)
         assert pad.cell == at
 
 
@@ -73,7 +73,7 @@ def test_a_square_without_a_pad_says_what_refused_them() -> None:
     shown = np.ones(dangerous.shape, bool)
     shown[:30] = False
     view = view_of(np.ones_like(dangerous), valid=shown)
-    risk = risk_of_slopes(view, slopes_of(dangerous, dangerous + 1.0), 9.0, MODEL)
+    risk = rate_slopes(view, slopes_of(dangerous, dangerous + 1.0), 9.0, MODEL)
     (pad,) = choose_pads(view, risk, 100.0)
     assert pad.cell is None
     assert "shadow" in pad.reason
@@ -82,10 +82,14 @@ def test_a_square_without_a_pad_says_what_refused_them() -> None:
 
 def test_a_pad_is_at_least_as_wide_as_it_should_be() -> None:
     view = view_of(np.ones((40, 40), np.float32))
-    assert (pad_cells(view, 20.0), pad_cells(view, 21.0), pad_cells(view, 3.0)) == (21, 21, 3)
+    assert (
+        count_pad_cells(view, 20.0),
+        count_pad_cells(view, 21.0),
+        count_pad_cells(view, 3.0),
+    ) == (21, 21, 3)
     for wrong in (2.0, 41.0):
         with pytest.raises(NoSolutionError):
-            pad_cells(view, wrong)
+            count_pad_cells(view, wrong)
 
 
 def test_a_prior_gives_back_the_tilt_that_shading_does_not_see() -> None:
@@ -97,7 +101,7 @@ def test_a_prior_gives_back_the_tilt_that_shading_does_not_see() -> None:
     true = slope_degrees(slope_components(heights.astype(np.float32), 1.0, 1.0, 3.0))
     alone = map_slopes(view, MODEL)
     prior = np.full(true.shape, 5.0, np.float32)
-    joined = fuse(view, alone, prior, 20.0, MODEL)
+    joined = combine_slopes(view, alone, prior, 20.0, MODEL)
     inner = np.s_[20:-20, 20:-20]
     means = [
         float(slope_degrees(np.stack([part.toward, part.across]))[inner].mean())
@@ -105,7 +109,7 @@ def test_a_prior_gives_back_the_tilt_that_shading_does_not_see() -> None:
     ]
     truth = float(true[inner].mean())
     assert abs(means[1] - truth) < 0.5 * abs(means[0] - truth)
-    none = fuse(view, alone, np.full_like(prior, np.nan), 20.0, MODEL)
+    none = combine_slopes(view, alone, np.full_like(prior, np.nan), 20.0, MODEL)
     np.testing.assert_allclose(none.toward, alone.toward, atol=1e-6)
 
 
@@ -113,7 +117,7 @@ def test_pads_on_steep_ground_of_the_prior_are_refused() -> None:
     prior = np.full((40, 60), 2.0, np.float32)
     prior[:, 30:] = 8.0
     prior[:, 55:] = np.nan
-    means, steep = too_steep(prior, 5, MODEL)
+    means, steep = find_too_steep(prior, 5, MODEL)
     assert not steep[:, :27].any()
     assert steep[:, 34:50].all()
     assert means[20, 10] == pytest.approx(2.0)

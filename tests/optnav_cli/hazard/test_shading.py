@@ -6,12 +6,12 @@ import pytest
 from catalog.errors import NoSolutionError
 from catalog.photometry.laws import law_by_name
 from catalog.terrain.slopes import slope_components, slope_degrees
-from optnav_cli.hazard.model import hazard_model
-from optnav_cli.hazard.pads import risk_of_slopes
+from optnav_cli.hazard.model import load_hazard_model
+from optnav_cli.hazard.pads import rate_slopes
 from optnav_cli.hazard.shading import map_slopes
 from tests.optnav_cli.hazard.views import bumps, drawn, view_of
 
-MODEL = hazard_model()
+MODEL = load_hazard_model()
 INNER = np.s_[20:-20, 20:-20]
 
 
@@ -71,7 +71,7 @@ def test_the_risk_map_of_a_turned_picture_is_the_turned_map(azimuth_deg: float) 
     heights = bumps(144)
     view = drawn(heights, 15.0, azimuth_deg)
     turned = view_of(np.ascontiguousarray(np.rot90(view.brightness)), 15.0, azimuth_deg - 90.0)
-    risks = [risk_of_slopes(v, map_slopes(v, MODEL), 12.0, MODEL) for v in (view, turned)]
+    risks = [rate_slopes(v, map_slopes(v, MODEL), 12.0, MODEL) for v in (view, turned)]
     codes = [risk.code.astype(int) for risk in risks]
     assert np.abs(np.rot90(codes[0]) - codes[1]).max() <= 1
 

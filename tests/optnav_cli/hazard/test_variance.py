@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from catalog.errors import NoSolutionError
-from optnav_cli.hazard.model import hazard_model
-from optnav_cli.hazard.pads import REFUSED
-from optnav_cli.hazard.variance import map_variance, usual_brightness
+from optnav_cli.hazard.model import load_hazard_model
+from optnav_cli.hazard.pads import REFUSED, find_usual_brightness, map_variance
 from tests.optnav_cli.hazard.views import view_of
 
-MODEL = hazard_model()
+MODEL = load_hazard_model()
 CELL, PAD = 5, 4  # m, cells
 
 
@@ -52,7 +51,7 @@ def test_codes_are_those_of_a_plain_loop() -> None:
     values = picture()
     view = view_of(values, elevation_deg=20.0)
     risk = map_variance(view, 20.0, MODEL)
-    expected = codes_by_a_plain_loop(values, usual_brightness(view))
+    expected = codes_by_a_plain_loop(values, find_usual_brightness(view))
     assert risk.code.shape == expected.shape
     assert (risk.code == REFUSED).any()
     assert len(np.unique(risk.code)) > 10
@@ -61,7 +60,7 @@ def test_codes_are_those_of_a_plain_loop() -> None:
 
 
 def test_the_usual_brightness_is_that_of_most_lit_ground() -> None:
-    assert usual_brightness(view_of(picture())) == pytest.approx(100.0, abs=3.0)
+    assert find_usual_brightness(view_of(picture())) == pytest.approx(100.0, abs=3.0)
 
 
 def test_thresholds_of_the_mean_are_wider_under_a_low_sun() -> None:
