@@ -11,11 +11,9 @@ from optnav_cli.hazard.hazard_map import HazardMap
 from optnav_cli.hazard.pads import REFUSED
 from optnav_cli.output.canvas import Canvas, dimmed, eight_bits
 
-PANEL_PX = 330  # of a square one, side by side
 GAP_PX, TITLE_PX = 8, 22
 MAX_SLOPE_DEG = 20.0  # the brightest of the colours
-MAX_RISK_PX = 1024
-PAD_COLOUR, TEXT_COLOUR = (255, 255, 255), (235, 235, 235)
+TEXT_COLOUR = (235, 235, 235)
 REFUSED_COLOUR, OUTSIDE_COLOUR = (60, 40, 50), (24, 24, 24)
 # A safe pad is green, a dangerous one red: stops of a scale, BGR, and readable in gray as well
 SCALE = np.array([[80, 170, 60], [90, 210, 190], [70, 190, 245], [50, 100, 235], [60, 20, 140]])
@@ -34,7 +32,7 @@ def map_colours(values: Float32Array, highest: float) -> ByteArray:
 
 def draw_risk(mapped: HazardMap) -> ByteArray:
     """Draw the risk map in colours, refused pads dark, with the chosen pads."""
-    factor = min(1.0, MAX_RISK_PX / max(mapped.view.brightness.shape))
+    factor = min(1.0, 1024 / max(mapped.view.brightness.shape))
     return _mark_pads(mapped, _scale(_draw_risk_cells(mapped), factor), factor)
 
 
@@ -50,7 +48,7 @@ def _draw_risk_cells(mapped: HazardMap) -> ByteArray:
 def draw_overview(mapped: HazardMap) -> ByteArray:
     """Draw picture, risk, pads and slopes side by side with captions."""
     view = mapped.view
-    factor = PANEL_PX / max(view.brightness.shape)
+    factor = 330 / max(view.brightness.shape)
     gray = dimmed(eight_bits(np.where(view.valid, view.brightness, np.float32(0.0))))
     panels = [
         ("picture on the ground", _scale(gray, factor)),
@@ -109,5 +107,5 @@ def _mark_pads(mapped: HazardMap, picture: ByteArray, factor: float) -> ByteArra
         low = math.floor(col - reach), math.floor(row - reach)
         high = math.ceil(col + reach), math.ceil(row + reach)
         cv2.rectangle(picture, low, high, (0, 0, 0), 3)
-        cv2.rectangle(picture, low, high, PAD_COLOUR, 1)
+        cv2.rectangle(picture, low, high, (255, 255, 255), 1)
     return picture

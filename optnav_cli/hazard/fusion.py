@@ -1,4 +1,4 @@
-"""A prior slope map with the slopes from shading: the tilt of the ground, which brightness does not show.
+"""A prior slope map combined with shading: the tilt of the ground, which brightness hides.
 
 Shading measures the slope along the Sun nearly exactly, that across it far worse, and neither for
 waves longer than the picture. A coarser map of slopes from orbit has the mean slope of each of its
@@ -28,7 +28,6 @@ from optnav_cli.hazard.shading import ShadedSlopes, rate_danger
 
 MAX_PIXELS = 400_000_000
 MAX_SLOPE_DEG = 90.0
-MIN_COVERED = 0.05  # of a view; less is no overlap
 SMALLEST = 1e-4  # tangent: flatter ground has no direction
 
 
@@ -59,7 +58,8 @@ class PriorSlopes:
         outside = ~(np.isfinite(row) & np.isfinite(col))
         row[outside] = col[outside] = -10.0
         sampled = sample_bicubic(self.degrees, row, col)
-        if np.isfinite(sampled).mean() < MIN_COVERED:
+        # Less than 5 % of the view is no overlap.
+        if np.isfinite(sampled).mean() < 0.05:
             raise DataError(
                 f"{self.path}: does not cover the ground that the picture shows; name a map that "
                 "overlaps it"

@@ -29,10 +29,8 @@ MIN_PAD_CELLS = 3
 LATTICE = 16  # cells between places that are projected; a bilinear surface between them
 MAX_CELLS = 16_000_000
 MAX_SLANT_DEG = 60.0  # off the vertical: relief hides what lies behind it
-BORDER_PX = 64  # places along each side of the frame that bound the view
 MIN_SUN_DEG, MAX_SUN_DEG = 0.5, 60.0
 MAX_SATURATED = 0.02
-DARK_SHARE = 0.1  # a level below this share of the bright one is the detector's, not the ground's
 
 Heights = Callable[[FloatArray, FloatArray], FloatArray]  # of latitudes and longitudes, rad
 
@@ -182,7 +180,8 @@ class _GroundSampling:
 
 def _compute_border_rays(camera: Camera) -> FloatArray:
     """Compute rays (n, 3), camera frame, around the frame."""
-    rays = camera.unproject(camera.border(BORDER_PX))
+    # 64 points along each side of the frame bound the view.
+    rays = camera.unproject(camera.border(64))
     if not np.isfinite(rays).all():
         raise NoSolutionError("the camera's corners see nothing; wanted a full frame", "no_rays")
     _check_slant(rays[:, 2]) if camera.model != "pinhole" else None
@@ -309,15 +308,16 @@ def _bin_picture(picture: Picture, many: int) -> Float32Array:
         values = resize_grid(values, size)
     sample = values[::3, ::3]
     low, high = np.nanquantile(sample, [0.002, 0.99])
-    dark = low if 0.0 < low < DARK_SHARE * high else 0.0
+    # A level below 10 % of the bright one is the detector's, not the ground's.
+    dark = low if 0.0 < low < 0.1 * high else 0.0
     return np.subtract(values, np.float32(dark))
 
 
 def _remap(values: Float32Array, places: list[Float32Array]) -> Float32Array:
-    found = cv2.remap(
+    remapped = cv2.remap(
         values, places[0], places[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
-    return found.astype(np.float32, copy=False)
+    return remapped.astype(np.float32, copy=False)
 
 
 def resize_grid(values: Float32Array, size: tuple[int, int]) -> Float32Array:
@@ -330,8 +330,8 @@ def resize_grid(values: Float32Array, size: tuple[int, int]) -> Float32Array:
 def average_boxes(values: Float32Array, cells: int, outside: float | None = None) -> Float32Array:
     """Average squares of an odd number of cells; outside counts as the border's value, or 0."""
     border = cv2.BORDER_REPLICATE if outside is None else cv2.BORDER_CONSTANT
-    found = cv2.boxFilter(values, -1, (cells, cells), borderType=border)
-    return found.astype(np.float32, copy=False)
+    means = cv2.boxFilter(values, -1, (cells, cells), borderType=border)
+    return means.astype(np.float32, copy=False)
 
 
 def _compute_elevation_deg(sun: FloatArray) -> float:

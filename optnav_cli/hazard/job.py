@@ -36,8 +36,6 @@ from optnav_cli.output.manifest import write_manifest
 
 log = logging.getLogger(__name__)
 
-HEIGHT_TOLERANCE = 0.2  # by which --height-m may differ from a pose over a terrain model
-
 
 @dataclass(frozen=True)
 class StatedLight:
@@ -124,9 +122,9 @@ def map_picture(
     settings = inputs.settings
     check_settings(settings)
     check_apart(output, [picture, camera_file])
-    if inputs.list_files():
+    for path in inputs.list_files():
         raise UsageError(
-            f"{inputs.list_files()[0]}: needs a place on the body; a single picture has none: give a "
+            f"{path}: needs a place on the body; a single picture has none: give a "
             "folder whose frames have poses"
         )
     camera = load_camera(camera_file)
@@ -242,7 +240,8 @@ def _map_pose(
     view = look_from(picture, camera, pose, heights)
     if ground is not None and inputs.height_m is not None:
         height_m = float(view.camera_m[2])
-        if abs(height_m - inputs.height_m) > HEIGHT_TOLERANCE * inputs.height_m:
+        # --height-m may differ by 20 % from the height of a pose over a terrain model.
+        if abs(height_m - inputs.height_m) > 0.2 * inputs.height_m:
             raise NoSolutionError(
                 f"--height-m is {inputs.height_m:g} m, by its pose over the terrain model the "
                 f"camera is {height_m:.6g} m high; leave --height-m out, or mend the pose",

@@ -75,7 +75,10 @@ class HazardModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tilt_sigma_deg: Positive
 
     def limit_shadow(self, sun_elevation_deg: float) -> float:
-        """Return the share of shadow that a pad may have: what rocks on that share of ground cast."""
+        """Return the share of shadow that a pad may have.
+
+        It is what rocks that cover a fixed share of the ground cast at this elevation.
+        """
         known, now = (math.radians(deg) for deg in (self.shadow_sun_deg, sun_elevation_deg))
         longer = math.tan(known) / math.tan(now)
         return self.max_shadow * min(max(longer, 1.0), self.most_longer)

@@ -28,9 +28,6 @@ from optnav_cli.output import foxglove
 from optnav_cli.output.canvas import eight_bits, encoded
 from optnav_cli.output.recording import MessageLog, recorded_image, topic_of
 
-NO_TIME = "1970-01-01T00:00:00Z"  # of a single picture: it has none
-PAD_PX = 24.0  # the least diameter of a mark in the recording
-
 
 @dataclass(frozen=True)
 class MapSummary:
@@ -148,7 +145,8 @@ class HazardOutput:
 
     def _record(self, frame: MappedFrame, risk: bytes = b"") -> None:
         log, camera = self._log, frame.camera
-        log.set_time(frame.row.utc if frame.row else NO_TIME)
+        # A single picture has no time.
+        log.set_time(frame.row.utc if frame.row else "1970-01-01T00:00:00Z")
         name = camera.name if camera else "camera"
         message = frame.reason
         if frame.mapped is not None and camera is not None and frame.picture is not None:
@@ -221,7 +219,8 @@ def _draw_circles(mapped: HazardMap, factor: float) -> dict[str, Any]:
         row, col = pad.cell
         x, y = view.find_pixel(row, col)
         aside = view.find_pixel(row, col + 0.5 * mapped.risk.cells)
-        wide = max(2.0 * math.dist((x, y), aside) * factor, PAD_PX * factor)
+        # A mark in the recording has a diameter of at least 24 px.
+        wide = max(2.0 * math.dist((x, y), aside) * factor, 24.0 * factor)
         circles.append(
             {
                 "timestamp": {"sec": 0, "nsec": 0},

@@ -16,7 +16,6 @@ from optnav_cli.report import page as html
 
 OVERVIEW = "hazard.png"
 MAX_PICTURES = 40
-MAX_PICTURE_BYTES = 64 * MEGABYTE
 HEADER = (
     *("file", "square", "x, y, px", "lat, lon, °", "> 7°, %", "> 15°, %", "shadow, %"),
     *("slope, °", "why not"),
@@ -78,7 +77,7 @@ def _show_pictures(folder: Path) -> Iterator[Markup]:
     paths = sorted(folder.glob(f"*/{OVERVIEW}")) or [folder / OVERVIEW]
     for path in paths[:MAX_PICTURES]:
         try:
-            data = read_input(path, "picture", "make the folder again", limit=MAX_PICTURE_BYTES)
+            data = read_input(path, "picture", "make the folder again", limit=64 * MEGABYTE)
         except DataError:
             continue
         name = path.parent.name if path.parent != folder else "picture, risk and slopes"

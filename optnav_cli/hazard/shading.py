@@ -30,14 +30,9 @@ from optnav_cli.hazard.ground_view import PictureOnGround, average_boxes, resize
 from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, interpolate_terms
 
 MARGIN_CELLS = 64  # around the picture, which its ground is continued over
-PASSES = 8  # of continuing it: more gain little
-MAX_ASIDE = 0.02  # slopes across the Sun change brightness by less than this of those along it
-STEEPEST = 1.5  # tangent of ground that faces the Sun; brightness of steeper ground is no guide
 STEPS = 512  # of a table of slopes by brightness
-SAMPLES = 400  # of slopes that the law is computed for
 MAX_RATIO = 8.0  # brightness that the table reaches to, over that of level ground
 PROBE = 7  # cells between those that the brightness of level ground is found from
-CIRCLE_CELL = 20.0  # m, the wavelength at which the noise of slopes is stated
 # The normal distribution by the number of sigmas, read with linear steps: right to 1e-5.
 CHANCE_STEPS, CHANCE_REACH = 128.0, 5.0  # a sigma, sigmas to either side
 CHANCES: Float32Array = ndtr(
@@ -143,7 +138,8 @@ def _compute_curves(view: PictureOnGround, law: str) -> Curves:
     toward = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
     left = np.array([-toward[1], toward[0], 0.0])
     grazing = view.sun[2] / math.hypot(view.sun[0], view.sun[1])
-    p = np.linspace(grazing, -STEEPEST, SAMPLES)
+    # From grazing to a tangent of 1.5: brightness of steeper ground that faces the Sun is no guide.
+    p = np.linspace(grazing, -1.5, 400)
     q = np.array([-0.02, 0.02])
     slopes, aside = np.empty((3, 3, STEPS), np.float32), np.empty((3, 3))
 
@@ -251,7 +247,8 @@ def _complete_slopes(
     aside = resize_grid(
         curves.aside.astype(np.float32), (cols, rows)
     )  # smooth: places hardly count
-    slanted = float(np.abs(curves.aside).max()) > MAX_ASIDE
+    # Slopes across the Sun that change brightness by less than 2 % of those along it are neglected.
+    slanted = float(np.abs(curves.aside).max()) > 0.02
     continued, across = _continue_slopes(
         view, toward, aside if slanted else None, (noise, spectrum)
     )
@@ -295,7 +292,8 @@ def _continue_slopes(
     field, before = np.zeros(shape, np.float32), None
     field[inside] = data
     across = np.zeros((high, wide), np.float32)
-    for number in range(PASSES):
+    # More than eight passes gain little.
+    for number in range(8):
         spread = fft.rfft2(field)
         smooth = fft.irfft2(spread * filters.toward, s=shape)
         if small is not None:
@@ -329,9 +327,8 @@ def _make_filters(
     left = -k_x * math.cos(azimuth) + k_y * math.sin(azimuth)
     square = k_x**2 + k_y**2
     square[0, 0] = 1.0
-    per_height = (
-        noise * square * (square * (CIRCLE_CELL / (2.0 * np.pi)) ** 2) ** (0.5 * spectrum - 1.0)
-    )
+    # The noise of slopes is stated at a wavelength of 20 m.
+    per_height = noise * square * (square * (20.0 / (2.0 * np.pi)) ** 2) ** (0.5 * spectrum - 1.0)
     gain = along / (along**2 + per_height)
     return Filters((along * gain).astype(np.float32), (left * gain).astype(np.float32))
 

@@ -22,7 +22,6 @@ from optnav_cli.output.wording import table_lines
 
 MADE = "Slopes by optnav"
 PNG = b"\x89PNG\r\n\x1a\n"
-MAX_PX = 900
 GRAPH_PX, MARGIN_PX = 240, 24  # the histogram's width and the room for its words
 STEPS = 40  # of the histogram
 
@@ -105,7 +104,7 @@ def _is_ours(path: Path) -> bool:
 
 def _draw(degrees: Float32Array, summary: SlopeSummary) -> ByteArray:
     """Draw the map in colours and beside it the histogram in the same colours."""
-    factor = min(1.0, MAX_PX / max(degrees.shape))
+    factor = min(1.0, 900 / max(degrees.shape))
     size = tuple(max(1, round(side * factor)) for side in degrees.shape[::-1])
     hole = ~np.isfinite(degrees)
     colours = map_colours(degrees, MAX_SLOPE_DEG)

@@ -22,14 +22,6 @@ from optnav_cli.outline.neighbour import CameraView, OtherBody, PredictedDisc, S
 from optnav_cli.outline.one_body import NEAR_ANGLE, solve
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
-MIN_SPOT_PIXELS = 9
-MAX_SPOTS = 30  # the largest; the rest are stars
-MAX_BODIES = 4  # of them are taken for the body
-FARTHEST = 1.5  # from the body, in distances of the other one
-ROUGH_SHARE = 0.3  # error of a range from the extent of a spot
-# A less certain direction of the other body decides nothing.
-MAX_SIGMA = 0.06
-
 
 def navigate(
     picture: Picture,
@@ -94,7 +86,8 @@ def _choose_body(
         levels, blobs = lit.levels, lit.blobs
     except NoSolutionError:
         raise reason.error() from None
-    large = np.flatnonzero(blobs.area >= MIN_SPOT_PIXELS)[:MAX_SPOTS]
+    # The largest 30; the others are stars.
+    large = np.flatnonzero(blobs.area >= 9)[:30]
     spots = neighbour.make_spots(view.camera, blobs, large)
     if alone is not None:
         # lit peaks beyond the terminator are the body's own
@@ -146,7 +139,8 @@ def _solve_consistent(
 ) -> list[tuple[Fix, Picture]]:
     """Solve each spot as the body; keep fixes that predict the other body at another spot."""
     consistent = []
-    for spot in spots[:MAX_BODIES]:
+    # The largest four are each taken for the body.
+    for spot in spots[:4]:
         others = [candidate for candidate in spots if candidate is not spot]
         if not _is_plausible(view, body, other, spot, others):
             continue
@@ -158,12 +152,12 @@ def _solve_consistent(
             fix = solve(masked, view, body, relief)
         except NoSolutionError:
             continue
-        if np.linalg.norm(fix.position_m) > FARTHEST * np.linalg.norm(other.centre_m):
+        # A fix beyond 1.5 times the other body's distance is discarded.
+        if np.linalg.norm(fix.position_m) > 1.5 * np.linalg.norm(other.centre_m):
             continue
         seen = _predict_other_disc(view, other, fix)
-        if seen.sigma < MAX_SIGMA and any(
-            neighbour.is_seen(seen, candidate) for candidate in others
-        ):
+        # A direction of the other body that is less certain than 0.06 rad decides nothing.
+        if seen.sigma < 0.06 and any(neighbour.is_seen(seen, candidate) for candidate in others):
             consistent.append((fix, masked))
     return consistent
 
@@ -177,7 +171,8 @@ def _is_plausible(
     towards = view.camera_from_body.inv().apply(spot.towards)
     distance = body.radius_m / np.sin(spot.extent)
     blur = neighbour.SPOT_BLUR_PX * spot.rad_per_px / spot.extent
-    position, sigma_m = -distance * towards, (ROUGH_SHARE + blur) * distance
+    # A range from the extent of a spot is 30 % uncertain.
+    position, sigma_m = -distance * towards, (0.3 + blur) * distance
     seen = neighbour.predict_disc(view, other.centre_m, other.radius_m, position, sigma_m)
     reach = seen.angle + seen.sigma
     return any(

@@ -23,14 +23,9 @@ _OTHERS: dict[str, Neighbour] = {"moon": "earth", "earth": "moon"}
 SIGMAS = 3.0
 # Of a neighbour that must be seen: a thinner crescent or a smaller disc may be missed.
 MAX_PHASE = np.radians(120.0)
-MIN_DIAMETER_PX = 5.0
-MARGIN_PX = 6.0
 # Half extent of a lit spot over the disc's radius: cusps are dark, blur and a bent lens widen.
 EXTENTS = (0.5, 1.35)
 SPOT_BLUR_PX = 2.0
-MAX_PIXELS = 4000  # of a spot that are looked at
-# From a body's neighbourhood, so near, the neighbour is what a camera shows that misses the body.
-NEAR_RADII = 5.0
 
 
 class OtherBody(NamedTuple):
@@ -112,8 +107,8 @@ def is_expected_in_view(view: CameraView, disc: PredictedDisc, before: Predicted
         return False
     per_px = _measure_rad_per_px(view.camera, disc.towards)
     reach_px = (disc.angle + SIGMAS * disc.sigma) / per_px
-    large = 2.0 * disc.angle / per_px >= MIN_DIAMETER_PX
-    return large and _is_inside(view.camera, disc.towards, reach_px + MARGIN_PX)
+    large = 2.0 * disc.angle / per_px >= 5.0
+    return large and _is_inside(view.camera, disc.towards, reach_px + 6.0)
 
 
 def make_spots(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
@@ -123,7 +118,8 @@ def make_spots(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
         left, top, wide, high = (int(value) for value in blobs.box[number])
         label = int(blobs.label[number])
         box = blobs.labels[top : top + high, left : left + wide]
-        pixels = _sample_pixels(box, label, 1 + int(blobs.area[number]) // MAX_PIXELS)
+        # At most about 4000 pixels of a spot are used.
+        pixels = _sample_pixels(box, label, 1 + int(blobs.area[number]) // 4000)
         rays = camera.unproject(pixels + np.array([left, top]))
         rays = rays[np.isfinite(rays).all(axis=1)]
         if not len(rays):
@@ -184,7 +180,8 @@ def is_more_likely_neighbour(
     along = float(other.centre_m @ towards)
     along = float(np.clip(along, from_there * (1.0 - share), from_there * (1.0 + share)))
     position = other.centre_m - along * towards
-    if float(np.linalg.norm(position)) > NEAR_RADII * body_radius_m:
+    # From within five radii of the body the neighbour is what a camera shows that misses the body.
+    if float(np.linalg.norm(position)) > 5.0 * body_radius_m:
         return False
     body = predict_disc(view, np.zeros(3), body_radius_m, position, 0.0)
     return body.phase > MAX_PHASE or not _is_inside(view.camera, body.towards, 0.0)

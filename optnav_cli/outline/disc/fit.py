@@ -26,9 +26,7 @@ from optnav_cli.reasons import Reason, ReasonCode
 MAX_BENT_LIMB_PX = 60.0  # beyond it the straight limb's error is below 0.01 px
 FINE = 4  # sub-pixels a side
 MARGIN_PX = 12
-PIXEL_VARIANCE = 1.0 / 12.0  # of a pixel's own width, which `blur_px` includes
 ABOUT_PX = 6  # of sky about the disc that is fitted
-MIN_BLUR_PX = 0.36  # the smallest that `draw_disc` can draw
 # Of a pixel of ground over its brightness: patterns and slopes that the law does not model.
 TEXTURE, SHOT = 0.08, 1.0 / 50.0**2
 MIXTURE_SIGMA = 0.1  # of the shares of the second and the third law
@@ -102,7 +100,8 @@ def draw_disc(
     mixed = (1.0 - second - third) * laws[0] + second * laws[1] + third * laws[2]
     fine = np.zeros(covered.shape)
     fine[near] = np.where(mu0 > 0.0, mixed, 0.0) * covered[near]
-    blur = np.sqrt(max(shape.blur_px**2 - PIXEL_VARIANCE, 0.05)) * FINE
+    # `blur_px` includes the variance of a pixel's own width, 1/12 px^2.
+    blur = np.sqrt(max(shape.blur_px**2 - 1.0 / 12.0, 0.05)) * FINE
     blurred = cv2.GaussianBlur(fine, (0, 0), blur)
     averaged = cv2.resize(blurred, (int(size[0]), int(size[1])), interpolation=cv2.INTER_AREA)
     return np.asarray(averaged, dtype=np.float64)
@@ -149,7 +148,8 @@ class DiscModel:
         ray = self._camera.unproject(state[:2])
         cone = Cone(np.eye(3), ray, float(state[2]) * self._rad_per_px)
         blur, *mixture = (float(value) for value in state[3:])
-        shape = EdgeShape(max(blur, MIN_BLUR_PX), (mixture[0], mixture[1]), 1.0, 1.0)
+        # 0.36 px is the smallest blur that `draw_disc` can draw.
+        shape = EdgeShape(max(blur, 0.36), (mixture[0], mixture[1]), 1.0, 1.0)
         return draw_disc(self._camera, cone, self._sun, shape, self._corner, self._size)[self._use]
 
     def linearise(self, state: FloatArray) -> Linearisation:

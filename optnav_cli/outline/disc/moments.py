@@ -31,16 +31,9 @@ LAWS = (
 SPHERE_NODES = 60  # a side of the half disc that is integrated
 MIN_SKY_PIXELS = 100
 MIN_PIXELS = 3  # lit; a hot pixel is one, two when they touch
-WINGS_PX = 4.0  # beyond the lit area the blur still holds light
-# A second spot this bright beside the first: which of them is the body is open.
-RIVAL_SHARE = 0.3
 MAX_SMALL_DISC_PX = 25.0  # radius; beyond it the limb's profiles are right to 0.01-0.05 px
 MAX_SATURATED = 0.05  # of the pixels that hold its light
 MAX_SATURATED_CORE = 0.25  # of those above half of the brightest
-# Signal to noise of a lit pixel, where the picture is too small a sample to measure its own.
-ASSUMED_SNR = 50.0
-UNDITHERED = 0.4  # counts: scatter of a sky whose rounding is the same in all pixels
-LIT_SHARE = 0.1  # of the brightest pixel: lit, not the blur's wing
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +98,8 @@ def measure_disc(areas: Segmented, saturation: float | None) -> DiscMoments:
     light = [_sum_light(picture, blobs, number, levels.sky) for number in kept]
     first = int(np.argmax(light))
     rival = float(np.sort(light)[-2]) if len(light) > 1 else 0.0
-    if rival > RIVAL_SHARE * light[first]:
+    # A second spot with 30 % of the first one's light could be the body too.
+    if rival > 0.3 * light[first]:
         raise NoSolutionError(
             f"{len(light)} bright spots, the second with {100.0 * rival / light[first]:.0f} % of "
             "the first one's light: stars, or two bodies; which is the body cannot be decided",
@@ -122,7 +116,8 @@ def measure_disc(areas: Segmented, saturation: float | None) -> DiscMoments:
         )
     height, width = picture.shape
     cx, cy = left + 0.5 * (wide - 1), top + 0.5 * (high - 1)
-    reach = radius + WINGS_PX
+    # The blur still holds light 4 px beyond the lit area.
+    reach = radius + 4.0
     if min(cx, cy, width - 1 - cx, height - 1 - cy) < reach:
         raise NoSolutionError(
             "the frame cuts the disc: its middle of light is not the body's", ReasonCode.CUT_DISC
@@ -181,7 +176,8 @@ def _measure_background(
     calm = sky[np.abs(sky - level) <= 4.0 * max(float(np.std(sky)), 0.5)]
     scatter = float(calm.std())
     # noise below half a count does not average the rounding away
-    hidden = ROUNDING_VARIANCE if scatter < UNDITHERED else 0.0
+    # A sky that scatters by less than 0.4 counts is rounded alike in all pixels.
+    hidden = ROUNDING_VARIANCE if scatter < 0.4 else 0.0
     error = float(np.sqrt(scatter**2 / calm.size + hidden))
     return float(calm.mean()), float(np.sqrt(max(scatter**2, ROUNDING_VARIANCE))), error
 
@@ -201,8 +197,11 @@ def _compute_moments(
     products = np.stack(
         [deviations[:, 0] ** 2, deviations[:, 1] ** 2, deviations[:, 0] * deviations[:, 1]], axis=1
     )
-    lit = float(light[light > LIT_SHARE * light.max()].mean())
-    variance = noise**2 + np.maximum(light, 0.0) * lit / ASSUMED_SNR**2
+    # Pixels above 10 % of the brightest are lit, not the blur's wing.
+    lit = float(light[light > 0.1 * light.max()].mean())
+    # A lit pixel is taken to have a signal to noise ratio of 50: the disc is too small to measure
+    # it.
+    variance = noise**2 + np.maximum(light, 0.0) * lit / 50.0**2
     spread = (variance[:, None] * deviations).T @ deviations / total**2
     # what a count more in one pixel changes the second moments by
     second = light @ products / total
@@ -216,16 +215,13 @@ def _compute_moments(
 
 
 STEPS = 60  # from pole to pole: moments are right to 0.2 %
-# Half axes that differ by less of their mean: a sphere.
-ROUND = 0.01
-# Of the radius, along a ray from the ground: a cell's own bend hides nothing, nor less than a step.
-FIRST_STEP, MIN_STEP = 0.05, 0.02
 
 
 def is_round(body: Body) -> bool:
     """Whether a body counts as a sphere here."""
     radii = np.array(body.radii_m)
-    return bool(np.ptp(radii) < ROUND * radii.mean())
+    # Half axes within 1 % of their mean.
+    return bool(np.ptp(radii) < 0.01 * radii.mean())
 
 
 def compute_light_moments(
@@ -280,7 +276,8 @@ def _shade(
     for i in range(len(places)):
         if not free[i]:
             continue
-        along = FIRST_STEP * radius
+        # The first 5 % of the radius are skipped: a cell's own bend hides nothing.
+        along = 0.05 * radius
         while True:
             x = places[i, 0] + along * direction[0]
             y = places[i, 1] + along * direction[1]
@@ -292,7 +289,8 @@ def _shade(
             if above < 0.0:
                 free[i] = False
                 break
-            along += max(0.5 * above, MIN_STEP * radius)
+            # A step is at least 2 % of the radius, as smaller relief hides nothing.
+            along += max(0.5 * above, 0.02 * radius)
 
 
 def _sample_ground(body: Body, relief: GlobalRelief | None) -> tuple[FloatArray, FloatArray]:

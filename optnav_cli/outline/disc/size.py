@@ -14,11 +14,8 @@ from catalog.arrays import FloatArray
 from catalog.config import Positive, load_toml, resource
 from optnav_cli.outline.disc.moments import DiscMoments, LightMoments
 
-# Of radii, of which equal steps of the logarithm are equally likely.
-MIN_DISC_RADIUS_PX, MAX_DISC_RADIUS_PX = 0.3, 30.0
 RADII = 200  # first over all of them, then over the likely ones
 UNLIKELY = 1e-6  # of the likeliest
-BLUR_STEPS, BLUR_REACH = 51, 3.5  # blurs that are weighed, up to so many sigmas away
 FILE = "configs/models/disc.toml"
 
 
@@ -88,8 +85,9 @@ def estimate_radius(
     second, noise = turn @ disc.second, turn @ disc.second_covariance @ turn.T
     round_blur = turn @ np.array([1.0, 1.0, 0.0])
     middle, sigma = blur_prior(known_blur_px)
-    reach = BLUR_REACH * sigma
-    blurs = np.linspace(max(middle - reach, 0.0), middle + reach, BLUR_STEPS)
+    # Blurs up to 3.5 sigmas off are weighed.
+    reach = 3.5 * sigma
+    blurs = np.linspace(max(middle - reach, 0.0), middle + reach, 51)
 
     def weigh(radii: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Logarithms (laws, n) of how likely radii are, and squared misfits at the best blur."""
@@ -112,7 +110,8 @@ def estimate_radius(
             logs[k] = np.logaddexp.reduce(each, axis=1) + np.log(load_disc_sizes().law_prior[k])
         return logs, squares
 
-    radii = np.geomspace(MIN_DISC_RADIUS_PX, MAX_DISC_RADIUS_PX, RADII)
+    # Equal steps of the logarithm of the radius, 0.3 to 30 px, are equally likely.
+    radii = np.geomspace(0.3, 30.0, RADII)
     logs, _ = weigh(radii)
     point = float(logs[:, 0].max())
     likely = np.flatnonzero((logs > logs.max() + np.log(UNLIKELY)).any(axis=0))

@@ -16,7 +16,6 @@ from optnav_cli.outline.limb.cone import Cone, PixelRays, find_agreeing, measure
 
 RUN_PX = 3  # dark pixels before a rise and bright ones after it
 MAX_CANDIDATES = 200_000  # a picture full of texture has no limb worth finding in it
-_STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +126,10 @@ def scan_edges(picture: Float32Array, threshold: float, least_rise: float) -> Ca
     pixels, directions = (np.concatenate(parts) for parts in zip(*scans, strict=True))
     gradient = np.empty_like(pixels)
     _compute_gradients(picture, pixels, gradient)
-    rises = Candidates(pixels, np.array(_STEPS, dtype=np.float64)[directions], gradient)
+    # Unit vectors of the four scan directions.
+    rises = Candidates(
+        pixels, np.array(((1, 0), (-1, 0), (0, 1), (0, -1)), dtype=np.float64)[directions], gradient
+    )
     # no gradient beside pixels without a value
     known = np.isfinite(gradient).all(axis=1)
     return rises if known.all() else rises.subset(known)
@@ -135,13 +137,6 @@ def scan_edges(picture: Float32Array, threshold: float, least_rise: float) -> Ca
 
 MIN_BLOB_PIXELS = 25  # a star, even a bright one through a wide blur, is smaller
 BORDER_PX = 4  # from the picture's edge and the image circle: no rise there is a limb
-# Share of the lit ground's level that a rise gains within four pixels; a terminator gains less.
-RISE_SHARE = 0.10
-RISE_SIGMAS = 6.0
-SECTOR_COSINE = float(np.cos(np.radians(45.0)))  # the seed's 135 deg, from the other end
-# Cosine of incidence at the limb: below it the edge is half terminator. At larger phases the cusps
-# have the terminator close by in every profile, and are left out a little further.
-MIN_SUN_COSINE, CUSP_SHARE = 0.03, 0.07
 SKY_STEPS_PX = (6.0, 12.0, 24.0, 48.0)  # outside the limb there is no ground
 
 
@@ -149,7 +144,9 @@ def find_candidates(
     picture: Float32Array, camera: Camera, levels: Levels, blobs: Blobs
 ) -> Candidates:
     """Rises at the rim of lit areas that are larger than stars, inside the lens's picture."""
-    rise = max(RISE_SIGMAS * levels.noise, RISE_SHARE * (levels.bright - levels.sky))
+    # A limb gains 10 % of the lit ground's level within four pixels, a terminator less; the rise
+    # must also stand 6 sigmas out of the noise.
+    rise = max(6.0 * levels.noise, 0.10 * (levels.bright - levels.sky))
     edges = scan_edges(picture, levels.threshold, rise)
     lit = np.rint(edges.pixels + 1.5 * edges.scan).astype(np.int64)
     label = blobs.labels[lit[:, 1], lit[:, 0]]
@@ -190,7 +187,9 @@ def is_sunlit(
     cosine = compute_outward_normals(where, gradient, stretch) @ sun_camera
     towards = np.linalg.solve(stretch, where.rays.T).T @ sun_camera
     sine = np.sqrt(np.maximum(1.0 - (towards * np.linalg.norm(stretch, 2)) ** 2, 0.0))
-    return cosine > MIN_SUN_COSINE + CUSP_SHARE * sine
+    # Below a cosine of incidence of 0.03 the edge is half terminator. At larger phases the cusps
+    # have the terminator close by in each profile; they are left out up to 0.1.
+    return cosine > 0.03 + 0.07 * sine
 
 
 def measure_sharpness(picture: Float32Array, candidates: Candidates) -> FloatArray:
@@ -214,7 +213,7 @@ def select_limb_candidates(
     near = find_agreeing(cone, where, candidates.gradient, relief)
     distance, inward = measure_distances(cone, where)
     # a point on a diagonal is found by its row and by its column: the nearer direction keeps it
-    near &= (candidates.scan * inward).sum(axis=1) > SECTOR_COSINE
+    near &= (candidates.scan * inward).sum(axis=1) > np.cos(np.radians(45.0))
     index = np.flatnonzero(near)
     along_row = candidates.scan[index, 0] != 0.0
     line = np.where(along_row, candidates.pixels[index, 1], candidates.pixels[index, 0])

@@ -13,17 +13,10 @@ from optnav_cli.reasons import ReasonCode, distinct_texts
 
 MIN_BODY_PIXELS = 100  # lit; less is a disc for the brightness centre
 MAX_SATURATED = 1.0 / 3.0  # of the lit pixels
-FULL_SHARE = 0.97  # of the picture lit: there is no sky
 MIN_ARC_DEG = 30.0
 MIN_SEEN_SHARE = 0.55  # of the lit limb inside the picture
 MIN_SHARPNESS = 0.52  # in the middle of the points; a limb that darkens as Lambert's has 0.55
-CLEARLY_LIT_COSINE = 0.25  # cosine of incidence at the limb: no cusp, no long shadow
 AZIMUTHS = 180
-MIN_EXPECTED = 15  # of the azimuths: fewer say nothing about what hides the others
-# Lit ground outside the limb over lit ground inside it: the limb belongs to something else.
-MAX_OUTSIDE_SHARE = 0.3
-SECOND_BODY_SHARE = 0.5  # of a lit area's rim that lies on a circle of its own
-LUMPY = 0.03  # relief, in body radii, of a body whose own lobes may look like another one
 GRID_PX = 8
 
 
@@ -38,7 +31,8 @@ def check_blobs(picture: Float32Array, blobs: Blobs, levels: Levels, saturation:
             ReasonCode.SMALL_DISC,
         )
     lit = int(blobs.area[blobs.area >= MIN_BLOB_PIXELS].sum())
-    if lit > FULL_SHARE * np.count_nonzero(np.isfinite(picture)):
+    # A picture lit to 97 % shows no sky.
+    if lit > 0.97 * np.count_nonzero(np.isfinite(picture)):
         raise NoSolutionError(
             f"no limb in view: the body fills the picture ({100.0 * lit / picture.size:.0f} % lit)",
             ReasonCode.NO_SKY,
@@ -115,7 +109,8 @@ def check_hidden(
     outward = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v
     curve = np.cos(cone.angle) * cone.axis + np.sin(cone.angle) * outward
     normal = (np.cos(cone.angle) * outward - np.sin(cone.angle) * cone.axis) @ cone.stretch
-    expected = unit(normal) @ sun_camera > CLEARLY_LIT_COSINE
+    # A cosine of incidence above 0.25: no cusp, no long shadow.
+    expected = unit(normal) @ sun_camera > 0.25
     pixels = camera.project(np.linalg.solve(cone.stretch, curve.T).T)
     with np.errstate(invalid="ignore"):
         expected &= camera.contains(pixels, 4.0 * BORDER_PX)
@@ -128,7 +123,8 @@ def check_hidden(
     reach = max(1, int(np.ceil(0.75 * AZIMUTHS / max(len(rays), 1))))
     for shift in range(-reach, reach + 1):
         seen[(cell + shift) % AZIMUTHS] = True
-    if expected.sum() < MIN_EXPECTED:
+    # Fewer azimuths say nothing about what hides the others.
+    if expected.sum() < 15:
         return
     share = float((seen & expected).sum() / expected.sum())
     if share < MIN_SEEN_SHARE:
@@ -162,7 +158,8 @@ def check_others(
     depth = cone.measure_depth(compute_stretched_rays(camera, pixels, cone.stretch))
     n_out = int((depth < -(0.002 + relief) * np.tan(cone.angle)).sum())
     n_in = max(int((depth > 0.0).sum()), 1)
-    if n_out > MAX_OUTSIDE_SHARE * n_in:
+    # With 30 % as much lit ground outside as inside the limb belongs to something else.
+    if n_out > 0.3 * n_in:
         raise NoSolutionError(
             f"no limb that bounds the lit ground: the best one leaves {n_out * GRID_PX**2} lit "
             f"pixels outside and {n_in * GRID_PX**2} inside; structure in view, or only ground",
@@ -193,11 +190,13 @@ def _check_second(
     if agrees.sum() < 20 or other.angle > 1.0:
         return
     apart = float(np.arccos(np.clip(cone.axis @ other.axis, -1.0, 1.0)))
-    if relief > LUMPY and apart < cone.angle + other.angle:
+    # A body with relief above 3 % of its radius has lobes that look like another one.
+    if relief > 0.03 and apart < cone.angle + other.angle:
         return
     arc = measure_arc_deg(other, where.rays[agrees], 3.0, float(np.linalg.norm(where.by_x[0])))
     inside = other.measure_depth(where.rays) > -3.0 * np.linalg.norm(where.by_x, axis=1)
-    if arc > 90.0 and agrees.sum() > SECOND_BODY_SHARE * inside.sum():
+    # Half of a lit area's rim lies on a circle of its own.
+    if arc > 90.0 and agrees.sum() > 0.5 * inside.sum():
         x, y = camera.project(other.axis_camera())
         raise NoSolutionError(
             f"two bodies in the picture: a second limb about ({x:.0f}, {y:.0f}); "

@@ -17,14 +17,8 @@ from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 
-PROPOSALS = 600
-MAX_SCORED = 2500  # candidates that vote, drawn at random from more
 BASE_TOLERANCE_PX = 1.5
-# A camera lower than this many times the relief sees no limb of a body but of the nearest hill; in
-# the flat cones of such heights the tolerance for relief would take in all edges.
-MIN_HEIGHT_RELIEFS = 2.0
 MIN_COSINE = float(np.cos(np.radians(40.0)))  # between a candidate's gradient and the cone's normal
-_REFITS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,18 +167,21 @@ def find_cone(
         return None
     generator = np.random.default_rng(seed)
     unit = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
-    some = generator.permutation(n)[:MAX_SCORED]
-    samples = generator.integers(0, len(some), (PROPOSALS, 3))
+    # At most 2500 candidates vote, drawn at random, on cones through 600 triples.
+    some = generator.permutation(n)[:2500]
+    samples = generator.integers(0, len(some), (600, 3))
     drawn = PixelRays(*(part[some] for part in where))
     # squared length of s = axis / cos(angle) at the lowest height; infinite without relief
-    sine = 1.0 / (1.0 + MIN_HEIGHT_RELIEFS * relief)
+    # A camera lower than twice the relief sees no limb but the nearest hill; in the flat cones of
+    # such heights the tolerance for relief would take in all edges.
+    sine = 1.0 / (1.0 + 2.0 * relief)
     max_s2 = 1.0 / (1.0 - sine * sine) if relief > 0.0 else np.inf
     score, s = _find_best_cone(samples, *drawn, unit[some], relief, max_s2)
     if score <= 0.0:
         return None
     cone = _make_cone(s, stretch)
     agrees = find_agreeing(cone, where, unit, relief)
-    for _ in range(_REFITS):
+    for _ in range(6):
         if agrees.sum() < 3:
             return None
         fitted = fit_cone(where, agrees, cone)

@@ -4,17 +4,22 @@ Source: Zhukov 2025, ch. 2, step by step: candidates along rows and columns, sta
 rejected, the terminator by the Sun, a cone through the rest, the sector test, and again. Ours: the
 cone is found by consensus, so that rods and craters do not bend it, and the edges are placed below
 the pixel by a model of the blurred limb.
+
+Counts may not be linear in light. Square-root tables and gamma steepen the dark side of an edge: an
+edge model of linear counts puts it 0.2-0.4 px too far out, at a stated hundredth. The residuals of
+the model then follow the same pattern in all profiles; decoded by the right exponent, noise is
+left. Halos and rough ground leave patterns too, which no exponent removes: they stay.
 """
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.segmentation import Segmented
+from optnav_cli.frames.segmentation import Levels, Segmented
 from optnav_cli.outline.disc.fit import MAX_BENT_LIMB_PX, measure_edge_bias_px
 from optnav_cli.outline.limb import checks
 from optnav_cli.outline.limb.candidates import (
@@ -26,7 +31,6 @@ from optnav_cli.outline.limb.candidates import (
     measure_sharpness,
     select_limb_candidates,
 )
-from optnav_cli.outline.limb.coding import fit_edges
 from optnav_cli.outline.limb.cone import (
     Cone,
     PixelRays,
@@ -35,12 +39,18 @@ from optnav_cli.outline.limb.cone import (
     fit_cone,
     measure_distances,
 )
-from optnav_cli.outline.limb.edge_fit import sample_profiles
+from optnav_cli.outline.limb.edge_fit import (
+    EdgeShape,
+    Profiles,
+    compute_edge_residuals,
+    fit_common_shape,
+    locate_edges,
+    sample_profiles,
+)
 from optnav_cli.reasons import ReasonCode
 
 MAX_POINTS = 3000
 MIN_POINTS = 12
-SHARP_SHARE = 0.6  # see `sharpness`; chooses limbs where the Sun is not known
 RELIEF = 0.002  # of the body's radius: what the limb stands off a smooth one
 # What the edge model may leave on all points, px: limbs of a known skyline show 0.011-0.017 from
 # 50 to 200 km.
@@ -50,7 +60,6 @@ COMMON_SIGMA_PX = 0.015
 # limb.
 OTHER_LIGHT_CODES = (ReasonCode.NO_LIMB, ReasonCode.COVERED_LIMB, ReasonCode.SHORT_ARC)
 RAISED_SHARES = (0.16, 0.32)
-MAX_STRAY_EDGES = 0.1  # edges beyond the limb, at the lower threshold, over the limb's points
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +149,8 @@ def _find_limb_beside_other_light(
         with suppress(NoSolutionError):
             brighter = areas.raised(share)
             limb, cone = _locate_limb(brighter, camera, sun_camera, saturation, space, relief)
-            if checks.count_beyond(cone, where, relief) <= MAX_STRAY_EDGES * len(limb):
+            # Edges beyond the limb, at the lower threshold, up to 10 % of the limb's points.
+            if checks.count_beyond(cone, where, relief) <= 0.1 * len(limb):
                 return limb
     alone = areas.largest_alone(MIN_BLOB_PIXELS)
     if alone is not None:
@@ -245,7 +255,8 @@ def _find_first_cone(
 ) -> tuple[Cone, BoolArray]:
     """A first cone, and which candidates may be lit limb; where: their rays in the space."""
     if sun_camera is None:
-        kept = measure_sharpness(picture, candidates) > SHARP_SHARE
+        # Without the Sun limbs are chosen by their sharpness, see `measure_sharpness`.
+        kept = measure_sharpness(picture, candidates) > 0.6
     else:
         kept = is_sunlit(where, candidates.gradient, space, sun_camera)
     if kept.sum() < MIN_POINTS <= len(candidates):
@@ -276,3 +287,98 @@ def _limit_points(cone: Cone, limb: Candidates, where: PixelRays) -> tuple[Candi
     order = np.argsort(checks.compute_azimuths(cone, where.rays), kind="stable")
     some = order[np.linspace(0, len(order) - 1, MAX_POINTS).astype(np.int64)]
     return limb.subset(some), where.subset(some)
+
+
+# Mean squares of the pattern's bins over their errors': drawn discs have 0.6-1.4 where counts are
+# linear, 1.5-26 under a square root; these with 0.6-1.4 where they are decoded right.
+MIN_PATTERN, MAX_PATTERN_LEFT = 2.0, 1.6
+EXPONENTS = (1.2, 1.43, 1.7, 2.0, 2.2)  # of light over counts: square root 2, sRGB about 2.2
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """The edges of a limb, and how counts were read for them.
+
+    depth_px, sigma_px  (n,) as `locate_edges`
+    shape     what they have in common
+    levels    of the picture, decoded
+    exponent  of counts that gives light; 1 where they are taken as linear
+    """
+
+    depth_px: FloatArray
+    sigma_px: FloatArray
+    shape: EdgeShape
+    levels: Levels
+    exponent: float = 1.0
+
+
+def fit_edges(profiles: Profiles, levels: Levels, saturation: float) -> Edges:
+    """Edges of profiles in counts, as these are, or decoded where the limb shows a coding.
+
+    Raises NoSolutionError when no profile has an edge.
+    """
+    as_stated = _fit_exponent(profiles, levels, saturation, 1.0)
+    if as_stated[1] < MIN_PATTERN or levels.peak <= 0.0:
+        return as_stated[0]
+    # most patterns are the ground's: two exponents tell these from a coding's
+    tried = [_fit_exponent(*_decode(profiles, levels, saturation, e), e) for e in EXPONENTS[1:4:2]]
+    if min(pattern for _, pattern in tried) > as_stated[1]:
+        return as_stated[0]
+    tried = [_fit_exponent(*_decode(profiles, levels, saturation, e), e) for e in EXPONENTS]
+    best = int(np.argmin([pattern for _, pattern in tried]))
+    edges, pattern = tried[best]
+    if pattern > MAX_PATTERN_LEFT or pattern > 0.5 * as_stated[1]:
+        return as_stated[0]
+    moved = float(np.nanmedian(edges.depth_px - as_stated[0].depth_px))
+    # The best of the exponents has a 1-sigma error of 0.1.
+    error = 0.1 * abs(moved) / (EXPONENTS[best] - 1.0)
+    common = float(np.hypot(edges.shape.common_sigma_px, error))
+    return replace(edges, shape=replace(edges.shape, common_sigma_px=common))
+
+
+def _fit_exponent(
+    profiles: Profiles, levels: Levels, saturation: float, exponent: float
+) -> tuple[Edges, float]:
+    """Edges of profiles, and the size of the pattern that their model leaves."""
+    shape = fit_common_shape(profiles, levels, saturation)
+    depth, sigma = locate_edges(profiles, shape, levels, saturation)
+    inside, residuals = compute_edge_residuals(profiles, shape, levels, saturation)
+    edges = Edges(depth, sigma, shape, levels, exponent)
+    return edges, _measure_pattern(inside, residuals)
+
+
+def _measure_pattern(inside_px: FloatArray, residuals: FloatArray) -> float:
+    """Mean square of residuals (n,) in bins of the distance inside the edge, over its variance."""
+    # Bins of half a pixel.
+    bins = np.floor(inside_px / 0.5).astype(np.int64)
+    bins -= bins.min(initial=0)
+    number = np.bincount(bins)
+    full = number >= 10
+    if not full.any():
+        return 0.0
+    mean = np.bincount(bins, residuals)[full] / number[full]
+    return float(np.mean(number[full] * mean**2))
+
+
+def _decode(
+    profiles: Profiles, levels: Levels, saturation: float, exponent: float
+) -> tuple[Profiles, Levels, float]:
+    """Profiles, levels and full scale in light, of which the peak has as much as in counts."""
+    peak = levels.peak
+
+    def decode_counts(counts: FloatArray | float) -> FloatArray:
+        share = np.asarray(counts, np.float64) / peak
+        decoded: FloatArray = peak * np.sign(share) * np.abs(share) ** exponent
+        return decoded
+
+    # No sky is darker than 1e-3 of the peak, where a power's slope vanishes.
+    slope = exponent * max(levels.sky / peak, 1e-3) ** (exponent - 1.0)
+    changed = replace(
+        levels,
+        sky=float(decode_counts(levels.sky)),
+        noise=levels.noise * slope,
+        bright=float(decode_counts(levels.bright)),
+        threshold=float(decode_counts(levels.threshold)),
+    )
+    full = float(decode_counts(saturation)) if np.isfinite(saturation) else saturation
+    return replace(profiles, values=decode_counts(profiles.values)), changed, full

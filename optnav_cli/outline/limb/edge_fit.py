@@ -30,24 +30,12 @@ from optnav_cli.reasons import ReasonCode
 BEFORE_PX, AFTER_PX = 7, 8
 MAX_DEPTH_PX, MAX_DEPTH_SHARE = 6.0, 0.35
 
-ITERATIONS = 12
-SETTLED_PX = 2e-4
-MAX_EDGE_SHIFT_PX = 4.0  # of an edge from where its threshold was crossed
-START_BLUR_PX = 0.9
-BLUR_RANGE_PX = (0.35, 4.0)
 # What the shares of the second and third law are expected to be, and their 1 sigma.
 MIXTURE_PRIOR, MIXTURE_SIGMA = 0.0, 0.5
 # Search of blur and shares: differences, largest move, turns.
 SHAPE_STEPS = np.array([0.005, 0.02, 0.02])
 MAX_SHAPE_MOVE = np.array([0.3, 0.7, 0.7])
-SHAPE_TURNS, SHAPE_HALVINGS = 6, 4
-MAX_SHAPING = 300  # profiles that find the common blur and law
-# A profile without an edge leaves no residual: so that losing them is no improvement, each step of
-# the search keeps this share of the edges. At some mixtures the law turns dark and none is left.
-MIN_KEPT_SHARE = 0.5
-START_GAIN_SHARE = 0.02  # scatter of the lit pixels over their brightness, before it is measured
 SKY_PRIOR_SIGMAS = 3.0
-MODEL_SIGMA_PX = 0.01  # what the model leaves of a single edge: the pixel's square, the cusps
 LOCAL_FREEDOM = 6.0  # weight of the picture's mean scatter beside a profile's own, in pixels
 
 
@@ -117,7 +105,7 @@ def _fit_profiles(
         total, used, depth_variance = 0.0, 0, np.nan
         for k in range(law.shape[1]):
             shares[k] = law[i, k] * blur ** (0.5 * k)
-        for turn in range(ITERATIONS):
+        for turn in range(12):
             a00, a01, a02, a11, a12, a22 = prior, 0.0, 0.0, 0.0, 0.0, 0.0
             b0, b1, b2 = prior * (sky - level), 0.0, 0.0
             total, used = 0.0, 0
@@ -162,9 +150,10 @@ def _fit_profiles(
             level += (c00 * b0 + c01 * b1 + c02 * b2) / determinant
             bright = max(bright + (c01 * b0 + c11 * b1 + c12 * b2) / determinant, 0.2 * bright)
             edge_depth += min(max(move, -1.0), 1.0)
-            if abs(move) < SETTLED_PX and turn > 1:
+            if abs(move) < 2e-4 and turn > 1:
                 break
-        if used < 5 or not abs(edge_depth - start[i]) < MAX_EDGE_SHIFT_PX:
+        # An edge lies within 4 px of where its threshold was crossed.
+        if used < 5 or not abs(edge_depth - start[i]) < 4.0:
             result[i, :] = np.nan
             residual[i, :] = 0.0
             continue
@@ -205,8 +194,9 @@ def fit_common_shape(profiles: Profiles, levels: Levels, saturation: float) -> E
     Raises NoSolutionError when no profile has an edge.
     """
     fitter = _Fitter(profiles.subset(_select_profiles(profiles)), levels.sky, saturation)
-    gain = START_GAIN_SHARE**2 * (levels.bright - levels.sky)
-    shape = EdgeShape(START_BLUR_PX, (MIXTURE_PRIOR, MIXTURE_PRIOR), levels.noise**2, gain)
+    # Lit pixels scatter by about 2 % of their brightness, before it is measured.
+    gain = 0.02**2 * (levels.bright - levels.sky)
+    shape = EdgeShape(0.9, (MIXTURE_PRIOR, MIXTURE_PRIOR), levels.noise**2, gain)
     for _ in range(2):
         refined, jacobian, residual = _refine_shape(fitter, shape)
         shape = replace(refined, gain=_estimate_gain(fitter, refined))
@@ -229,7 +219,8 @@ def locate_edges(
     mean = float(total[good].sum()) / max(float(freedom[good].sum()), 1.0)
     factor = (total + LOCAL_FREEDOM * mean) / (freedom + LOCAL_FREEDOM)
     depth = np.where(good, fitter.state[:, 2], np.nan)
-    return depth, np.sqrt(spread * np.maximum(factor, 0.5) + MODEL_SIGMA_PX**2)
+    # The model leaves 0.01 px of a single edge: the pixel's square, the cusps.
+    return depth, np.sqrt(spread * np.maximum(factor, 0.5) + 0.01**2)
 
 
 def compute_edge_residuals(
@@ -248,7 +239,8 @@ def compute_edge_residuals(
 def _select_profiles(profiles: Profiles) -> IntArray:
     """Choose the profiles that determine the common blur and law; return their numbers."""
     n = len(profiles.start)
-    return np.unique(np.linspace(0, n - 1, min(n, MAX_SHAPING)).astype(np.int64))
+    # 300 profiles determine blur and law.
+    return np.unique(np.linspace(0, n - 1, min(n, 300)).astype(np.int64))
 
 
 def _refine_shape(fitter: _Fitter, start: EdgeShape) -> tuple[EdgeShape, FloatArray, FloatArray]:
@@ -266,19 +258,21 @@ def _refine_shape(fitter: _Fitter, start: EdgeShape) -> tuple[EdgeShape, FloatAr
 
     best = np.array([start.blur_px, *start.mixture])
     at_best = compute_residuals(best)
-    least_located = MIN_KEPT_SHARE * fitter.count_located()
+    # A profile without an edge leaves no residual. So that losing edges is no improvement, each
+    # step keeps half of them; at some mixtures the law turns dark and none is left.
+    least_located = 0.5 * fitter.count_located()
     if least_located == 0.0:
         raise NoSolutionError(
             "no limb point has an edge that stands out of the noise", ReasonCode.NOISY_LIMB
         )
-    for _ in range(SHAPE_TURNS):
+    for _ in range(6):
         columns = [compute_residuals(best + step) - at_best for step in np.diag(SHAPE_STEPS)]
         jacobian = np.stack(columns, axis=1) / SHAPE_STEPS
         move = -np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ at_best)
         move = np.clip(move, -MAX_SHAPE_MOVE, MAX_SHAPE_MOVE)
-        for _ in range(SHAPE_HALVINGS):
+        for _ in range(4):
             better = best + move
-            better[0] = np.clip(better[0], *BLUR_RANGE_PX)
+            better[0] = np.clip(better[0], 0.35, 4.0)
             at_better = compute_residuals(better)
             improved = float(at_better @ at_better) < float(at_best @ at_best)
             improved = improved and fitter.count_located() >= least_located

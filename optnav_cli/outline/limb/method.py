@@ -35,9 +35,6 @@ from optnav_cli.outline.limb.skyline import (
 )
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
-SHORT_ARC_DEG = 140.0  # below it a fix is remarked on
-INVERSE_MISFIT_SHARE = 0.6  # of the misfit: below it the inverse rotation is the better one
-
 
 def navigate(
     points: LimbPoints,
@@ -94,7 +91,8 @@ def navigate(
     evidence = Evidence(residual_rms_px=rms, n_limb=int(used.sum()), arc_deg=arc, outline=marks)
     covariance = covariance + compute_attitude_covariance(position, attitude_sigma_rad)
     short = Reason(ReasonCode.SHORT_ARC, f"short arc of limb, {arc:.0f} deg")
-    remark = _describe_coding(points).followed_by(short if arc < SHORT_ARC_DEG else NO_REASON)
+    # A fix by an arc below 140 deg carries a remark.
+    remark = _describe_coding(points).followed_by(short if arc < 140.0 else NO_REASON)
     method = Method.HORIZON_SPHERE if relief is None else Method.HORIZON
     return Fix(method, position, covariance, camera_from_body, attitude_sigma_rad, evidence, remark)
 
@@ -145,4 +143,5 @@ def _is_better_fit(
         skyline.check(result)
     except NoSolutionError:
         return False
-    return result.fit.misfit <= INVERSE_MISFIT_SHARE * last.fit.misfit
+    # The inverse rotation is the better one below 60 % of the misfit.
+    return result.fit.misfit <= 0.6 * last.fit.misfit

@@ -34,7 +34,6 @@ from optnav_cli.estimation.robust import TUKEY, scatter, tukey, tukey_weights
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 MIN_LIMB_POINTS = 4  # three unknowns, one equation a point, and one left to see an error by
-MIN_DETERMINANT = 1e-14  # of the linear fit's normal matrix, over its diagonal's product
 _UNSETTLED = Reason(
     ReasonCode.NOT_SETTLED, "the fit of the limb does not settle on a position outside the body"
 )
@@ -165,7 +164,7 @@ def _solve_linear(stretched: FloatArray, weights: FloatArray, radii: FloatArray)
                 normal[k, m] += scaled * stretched[i, m]
     mirrored(normal)
     # of arcs so short that only rounding is left of the determinant there is no cone
-    if not np.linalg.det(normal) > MIN_DETERMINANT * normal[0, 0] * normal[1, 1] * normal[2, 2]:
+    if not np.linalg.det(normal) > 1e-14 * normal[0, 0] * normal[1, 1] * normal[2, 2]:
         return np.full(3, np.nan)
     s = inverse_of(normal) @ right
     square = s[0] ** 2 + s[1] ** 2 + s[2] ** 2

@@ -16,12 +16,6 @@ from catalog.arrays import FloatArray
 from catalog.geometry.kernel import kernel
 from catalog.photometry import hapke
 
-MIN_COSINE = 1e-4  # instead of 0, where a law divides by it
-# Slopes of the ground, as a sine: at the limb no face is seen flatter than about that, so that a
-# rough body's limb is darker than a smooth one's. Without it edges over the Moon lie 0.01-0.02 px
-# too deep and scatter twice as much from picture to picture where pixels are below a kilometre.
-SLOPE_SINE = 0.1
-
 POWERS = 5  # x^0, x^1/2, ..., x^2
 LOWEST, HIGHEST, STEP = -8.0, 24.0, 0.02  # of the distance in blur widths
 # Depths, px, at which the law is drawn before the series is fitted to it.
@@ -112,7 +106,10 @@ def evaluate_three_laws(
     cos_mid_phase       at the body's centre, where the laws are made equal
     """
     # the laws at the limb itself are their limits there
-    mu0, mu = np.maximum(mu0, MIN_COSINE), np.sqrt(mu**2 + SLOPE_SINE**2)
+    # The ground's slopes have a sine of about 0.1: at the limb no face is seen flatter, so a rough
+    # body's limb is darker than a smooth one's. Without it edges over the Moon lie 0.01-0.02 px too
+    # deep and scatter twice as much from picture to picture where pixels are below 1 km.
+    mu0, mu = np.maximum(mu0, 1e-4), np.sqrt(mu**2 + 0.1**2)
     mirror = math.sqrt(max(0.5 * (1.0 + cos_mid_phase), 1e-4))
     standard = float(hapke.reflectance(mirror, mirror, cos_mid_phase))
     return [hapke.reflectance(mu0, mu, cos_phase) / standard, 2.0 * mu0 / (mu0 + mu), mu0 / mirror]

@@ -27,12 +27,7 @@ from optnav_cli.outline.limb.skyline import (
 )
 from optnav_cli.reasons import ReasonCode
 
-NO_TOPS = 0.003  # tops over means, in a cell's size; the Moon's are ten times as high
-SHADOW_CLEARANCE_M = 30.0  # ground by which a crest may miss the Sun and still be taken as lit
-MAX_PASSES = 8
-STILL_M = 5.0  # a pass that moves the position by less, or by less than STILL_SIGMAS, is the last
 STILL_SIGMAS = 0.1
-MIN_CUT_PX = 0.2
 # A limb that scatters by so many times what is expected (of edges and crests, each for itself and
 # those of a sector together) does not belong to this relief, attitude and time. Right limbs from 50
 # to 20 000 km, Sun from 9 deg on, stay below 1.45 over a relief of 16 cells a degree and below 1.55
@@ -50,7 +45,7 @@ class ReliefSkyline:
     light          other sizes of errors by light than the shipped ones
     """
 
-    max_passes = MAX_PASSES
+    max_passes = 8
     must_converge = False
 
     def __init__(
@@ -75,7 +70,8 @@ class ReliefSkyline:
             kept.compute_point_sigmas(self.light),
             self.crest_noise_m / self._measure_limb_distance(position),
         )
-        least = MIN_CUT_PX * float(np.median(kept.pixel_angle))
+        # The cut is never below 0.2 px.
+        least = 0.2 * float(np.median(kept.pixel_angle))
         fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=position)
         for _ in range(2):
             cut = max(TUKEY * scatter(fit.measured.residuals), least)
@@ -93,7 +89,8 @@ class ReliefSkyline:
     def has_converged(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
         """Whether a step (3,), m, is too small for another pass."""
         sigma = float(np.sqrt(np.trace(estimate.covariance)))
-        return float(np.linalg.norm(step)) < max(STILL_M, STILL_SIGMAS * sigma)
+        # A pass that moves the position by less than 5 m or 0.1 sigma is the last.
+        return float(np.linalg.norm(step)) < max(5.0, STILL_SIGMAS * sigma)
 
     def check(self, last: SkylineResult) -> None:
         """Raise NoSolutionError for a misfit or no convergence; see `BodySkyline.check`."""
@@ -152,7 +149,8 @@ class ReliefSkyline:
         if sun_body is not None:
             across = np.cos(azimuths)[:, None] * axes[0] + np.sin(azimuths)[:, None] * axes[1]
             out = np.cos(line.range)[:, None] * axes[2] + np.sin(line.range)[:, None] * across
-            crests = (line.radius_m + SHADOW_CLEARANCE_M)[:, None] * out
+            # A crest up to 30 m below the Sun's reach still counts as lit.
+            crests = (line.radius_m + 30.0)[:, None] * out
             sun_sine[wanted] = out @ (sun_body / np.linalg.norm(sun_body))
             lit[wanted] = ground.sunlit(crests, sun_body)
         sizes = distance * np.sin(off_nadir) / ground.radius_m
@@ -169,7 +167,8 @@ def make_relief_skyline(
     noise, sigma = sizes.noise_m * cells, sizes.sigma_m * cells
     sector = sizes.model_sector * (relief.error_m or 0.0)
     rise = float(np.mean(relief.max_heights - relief.heights))
-    if rise < NO_TOPS * relief.posting_m:
+    # Relief without tops: these rise 0.3 % of a cell over the means, the Moon's ten times as much.
+    if rise < 0.003 * relief.posting_m:
         lift = sizes.lift * relief.posting_m
         lifted = relief.heights + np.float32(lift)
         flat = GlobalRelief(lifted, lifted, relief.radius_m, relief.source)

@@ -31,13 +31,6 @@ from optnav_cli.outline.limb.skyline import SkylineFit, SkylineResult, select_us
 from optnav_cli.reasons import ReasonCode
 
 SHAPE_SHARE = 0.05  # of the radius, highest to lowest: the Moon has 0.011, Phobos 0.5
-SHADOW_CLEARANCE = 0.16  # in cells
-MIN_AZIMUTHS, MAX_AZIMUTHS = 360, 2880
-STEEPEST_COSINE = 0.35  # where a limb leans more against the circle's, azimuths are no measure
-MAX_PASSES = 15
-STILL_SIGMAS = 0.05  # a pass that moves the position by less of its sigma is the last
-MIN_CUT_PX = 0.5
-MIN_KEPT_SHARE = 0.7  # of the lit points; of Phobos' 93 % and more are kept
 # Scatter over the expected one; right limbs stay below 1.3, wrong attitudes begin at 4.
 MAX_MISFIT = 2.0
 
@@ -69,7 +62,7 @@ class ShapeSkyline:
     cell_m          size of the shape's cells
     """
 
-    max_passes = MAX_PASSES
+    max_passes = 15
     must_converge = True
 
     def __init__(self, limb: LimbRelief, cell_m: float) -> None:
@@ -77,7 +70,8 @@ class ShapeSkyline:
         self.crest_noise_m = sizes.crest_noise * cell_m
         self.crest_sigma_m = sizes.lift * sizes.lift_sigma * cell_m
         self.sector_sigma_m = sizes.sector_noise * cell_m
-        self.clearance_m = SHADOW_CLEARANCE * cell_m
+        # A crest up to 0.16 cells below the Sun's reach still counts as lit.
+        self.clearance_m = 0.16 * cell_m
 
     def fit(self, rays: LimbRays, position: FloatArray, sun: FloatArray | None) -> SkylineFit:
         """Make one Gauss-Newton step; see `BodySkyline.fit`."""
@@ -85,7 +79,8 @@ class ShapeSkyline:
         usable, kept = select_usable_rays(rays, position, line.usable, line.sun_sine)
         azimuths, ranges = kept.compute_azimuths(position), line.ranges[usable]
         sigmas = np.hypot(kept.compute_point_sigmas(), self.crest_noise_m / ranges)
-        least_cut = MIN_CUT_PX * float(np.median(kept.pixel_angle))
+        # The cut is never below 0.5 px.
+        least_cut = 0.5 * float(np.median(kept.pixel_angle))
         fit = solve_silhouette_step(
             position, line.offsets[usable], line.rates[usable], sigmas, azimuths, least_cut
         )
@@ -97,7 +92,8 @@ class ShapeSkyline:
 
     def has_converged(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
         """Whether a step (3,), m, is too small for another pass."""
-        return squared_distance(step, estimate.covariance) < STILL_SIGMAS**2
+        # A pass that moves the position by less than 0.05 of its sigma is the last.
+        return squared_distance(step, estimate.covariance) < 0.05**2
 
     def check(self, last: SkylineResult) -> None:
         """Raise NoSolutionError for a misfit or no convergence; see `BodySkyline.check`."""
@@ -108,7 +104,8 @@ class ShapeSkyline:
                 ReasonCode.NOT_SETTLED,
             )
         share = float(last.fit.estimate.used.mean())
-        if share < MIN_KEPT_SHARE:
+        # Of the lit points of Phobos 93 % and more are kept.
+        if share < 0.7:
             raise NoSolutionError(
                 f"only {100.0 * share:.0f} % of the lit limb lie on the silhouette of the shape; "
                 "check attitude, time, camera and body, or the shape has parts that hide behind "
@@ -136,7 +133,7 @@ class ShapeSkyline:
         sine = min(limb.radius_m / distance, 1.0)
         pixel = float(np.median(rays.pixel_angle)) / sine
         finest = max(pixel, 0.25 * limb.posting_m / limb.radius_m)
-        count = int(np.clip(np.ceil(2.0 * np.pi / finest), MIN_AZIMUTHS, MAX_AZIMUTHS))
+        count = int(np.clip(np.ceil(2.0 * np.pi / finest), 360, 2880))
         step = 2.0 * np.pi / count
         azimuths = np.arange(count) * step
         line = limb.skyline(position, axes, azimuths)
@@ -164,7 +161,8 @@ class ShapeSkyline:
         normals = cosine[:, None] * outward - (lean / size)[:, None] * aside
         sine_nadir = np.linalg.norm(np.cross(rays.rays, axes[2]), axis=1)
         nearest = np.arctan2(sine_nadir, -rays.rays @ axes[2])
-        usable, sun_sine = cosine > STEEPEST_COSINE, np.ones(len(rays))
+        # Where a limb leans further against the circle's, azimuths are no measure.
+        usable, sun_sine = cosine > 0.35, np.ones(len(rays))
         if sun_body is not None:
             sun = sun_body / np.linalg.norm(sun_body)
             sun_sine = normals @ sun

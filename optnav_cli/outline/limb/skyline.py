@@ -20,17 +20,6 @@ from optnav_cli.outline.limb.limb_rays import (
 )
 from optnav_cli.outline.limb.sizes import LightSizes
 
-# Below 3 deg of Sun edges stray by tenths of a pixel, and outward: what is seen there is the far
-# side of shadows.
-MIN_SUN_SINE = 0.05
-SETTLING_PASSES = 4
-# After these a skyline that must converge is given up when a pass moves the position by more than
-# this share of the pass before.
-MAX_MOVE_SHARE = 0.8
-# Moves over a relief shrink from pass to pass at about one rate; the next one is expected at most
-# so many times as large as that says.
-RATE_MARGIN = 3.0
-
 
 class SkylineFit(NamedTuple):
     """A fit to the skyline as it is predicted from one position.
@@ -96,7 +85,9 @@ def select_usable_rays(
     rays: LimbRays, position: FloatArray, lit: BoolArray, sun_sine: FloatArray
 ) -> tuple[BoolArray, LimbRays]:
     """Select rays (n,) that the Sun lights: mask and rays. Raises NoSolutionError for few."""
-    usable = lit & (sun_sine > MIN_SUN_SINE)
+    # Below a Sun of 3 deg edges stray by tenths of a pixel, and outward: the far side of shadows is
+    # seen there.
+    usable = lit & (sun_sine > 0.05)
     kept = rays.subset(usable)
     require_arc(kept.compute_azimuths(position))
     return usable, kept
@@ -114,11 +105,15 @@ def fit_repeatedly(
         before, moved = moved, float(np.linalg.norm(step))
         position = fit.estimate.state
         if not skyline.must_converge and passes > 1:
-            step = step * min(1.0, RATE_MARGIN * moved / before)
+            # Moves over a relief shrink from pass to pass at about one rate; the next is expected
+            # at most three times as large as that.
+            step = step * min(1.0, 3.0 * moved / before)
         if skyline.has_converged(step, fit.estimate):
             return SkylineResult(fit, passes, moved, True)
-        slow = skyline.must_converge and passes > SETTLING_PASSES
-        if passes == skyline.max_passes or (slow and moved > MAX_MOVE_SHARE * before):
+        slow = skyline.must_converge and passes > 4
+        # A skyline that must converge is given up after four passes when a pass moves the position
+        # by more than 80 % of the pass before.
+        if passes == skyline.max_passes or (slow and moved > 0.8 * before):
             return SkylineResult(fit, passes, moved, False)
 
 

@@ -17,11 +17,8 @@ from catalog.rendering.mesh_scene import LIFT, facing_the_sun, radiance_of
 from catalog.terrain.mesh.rays import MeshRays
 from optnav_cli.camera.camera import Camera
 
-SMOOTH = 1.2  # grid steps over which the outline is smoothed to place it between pixels
-JUMP_STEPS = 8.0  # of depth, in steps of the grid on the ground, that make an inner edge
 INSIDE, OUTSIDE = (2.0, 3.5), (2.0, 3.0)  # steps from an edge where light and dark are looked at
 MIN_LIGHT = 0.25  # of the middle brightness: darker ground makes no edge to rely on
-MIN_FALL = 0.5  # of the brightness inside, that is lost across an edge
 PROFILE_STEP = 0.5  # px
 LEVEL_PX = (1.0, 4.0)  # beside an edge, where its two levels are measured
 # Pieces of the drawn light that are matched, steps of the grid, and when one is taken.
@@ -103,7 +100,8 @@ def _find_drawn_edges(
         return none, none, two, two, np.empty(0, bool)
     far = np.pad(distance, 1, constant_values=np.inf)
     around = np.maximum.reduce([far[:-2, 1:-1], far[2:, 1:-1], far[1:-1, :-2], far[1:-1, 2:]])
-    jump = JUMP_STEPS * angle * nearest
+    # A jump in depth of 8 grid steps on the ground makes an inner edge.
+    jump = 8.0 * angle * nearest
     is_edge = ground & (around > distance + jump)
     is_edge[[0, -1]] = is_edge[:, [0, -1]] = False
     is_edge[1], is_edge[-2], is_edge[:, 1], is_edge[:, -2] = False, False, False, False
@@ -120,7 +118,8 @@ def _find_drawn_edges(
     behind = np.isinf(np.where(near[directed], np.inf, about[directed]))
     outer: BoolArray = np.asarray(behind.all(axis=(1, 2)))
     shift = np.full((len(rows), 2), 0.5) * outward
-    smooth = cv2.GaussianBlur(ground.astype(np.float32), (0, 0), SMOOTH)
+    # The outline is smoothed over 1.2 grid steps to place it between pixels.
+    smooth = cv2.GaussianBlur(ground.astype(np.float32), (0, 0), 1.2)
     slope = (
         np.stack(
             [cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)], axis=-1
@@ -141,9 +140,10 @@ def _find_drawn_edges(
     inside, outside = sample_light(INSIDE, -1.0), sample_light(OUTSIDE, 1.0)
     bright = light[light > 0.0]
     middle = float(np.median(bright)) if bright.size else np.inf
+    # Across an edge half of the brightness inside is lost.
     use: BoolArray = np.asarray(
         (inside.min(axis=0) > MIN_LIGHT * middle)
-        & (outside.max(axis=0) < (1.0 - MIN_FALL) * inside.mean(axis=0))
+        & (outside.max(axis=0) < 0.5 * inside.mean(axis=0))
     )
     return rows[use], cols[use], shift[use], outward[use], outer[use]
 

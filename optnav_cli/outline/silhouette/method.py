@@ -39,12 +39,6 @@ from optnav_cli.outline.silhouette.edges import (
 from optnav_cli.reasons import ReasonCode
 
 MIN_ACROSS_PX = 40.0  # of the lit shape: a smaller one is solved by its light
-MAX_NODES, COARSE_NODES = 384, 72
-COARSE_ROUNDS = 8
-ROOM = 1.35  # half a side of what is drawn, in reaches of the shape
-MIN_BLOB = 0.01  # of the largest lit area: smaller ones are stars and dust
-REACHES = (0.12, 0.12, 0.08, 0.05, 0.03, 0.02, 0.02, 0.02)  # searched beside edges, of the shape
-MIN_REACH_PX = 4.0
 SECTORS = 16
 # Gates, from wrong attitudes, Suns, mirrored pictures and other bodies (see the study `comet`).
 MIN_FOUND, MAX_SCATTER, MIN_CORRELATION, MIN_SECTORS = 0.6, 0.02, 0.9, 9
@@ -52,10 +46,9 @@ MIN_EDGES = 60
 CUT_PX = 2
 EXACT_RAD = 1e-7  # an attitude that is known better is taken to be known so well
 MIN_SCATTER = 0.2  # px; no shape is known better
-EDGE_LENGTH_PX = 12.0  # along which an edge errs as one
 # By the light on the shape: steps of the grid that pieces are searched, how many are needed, blocks
 # a side whose pieces err together.
-LIGHT_REACHES, MIN_PIECES, MAX_LIGHT_SCATTER_PX, BLOCKS = (8, 4, 3), 25, 1.5, 5
+BLOCKS = 5
 FILE = "configs/models/silhouette.toml"
 
 
@@ -123,13 +116,15 @@ def navigate(
     smooth = np.asarray(cv2.GaussianBlur(values, (0, 0), 0.7), dtype=np.float32)
     turned = np.zeros(3)
     across = 2.0 * mesh.reach_m / float(np.linalg.norm(position)) * view.camera.focal_length_px
-    for share in REACHES:
-        reach = max(share * across, MIN_REACH_PX)
+    # Edges are searched to these shares of the shape on either side.
+    for share in (0.12, 0.12, 0.08, 0.05, 0.03, 0.02, 0.02, 0.02):
+        reach = max(share * across, 4.0)
         last = _fit_edges(smooth, mesh, view, turn, position, levels, reach, turned)
         position, turn, turned = _move_pose(position, turn, turned, last.fit.change)
     _check(values, last, mesh, view, turn, position, across)
     light = None
-    for steps in LIGHT_REACHES:
+    # Grid steps that pieces of the light are searched to all sides.
+    for steps in (8, 4, 3):
         light_fit = _fit_light(values, mesh, view, turn, position, steps, turned)
         if light_fit is None:
             break
@@ -150,7 +145,8 @@ def _find_lit_mask(lit: Segmented) -> BoolArray:
     blobs = lit.blobs
     if not len(blobs):
         raise NoSolutionError("nothing lit stands out of the sky", ReasonCode.NO_BODY)
-    kept = blobs.label[blobs.area >= MIN_BLOB * blobs.area[0]]
+    # Areas below 1 % of the largest are stars and dust.
+    kept = blobs.label[blobs.area >= 0.01 * blobs.area[0]]
     mask: BoolArray = np.isin(blobs.labels, kept)
     if np.sqrt(mask.sum()) < MIN_ACROSS_PX:
         text = f"the lit shape is {np.sqrt(mask.sum()):.0f} px across; a silhouette wants more"
@@ -169,11 +165,12 @@ def _solve_by_moments(mask: BoolArray, mesh: MeshRays, view: CameraView) -> Floa
     centre, area = np.array([cols.mean(), rows.mean()]), float(mask.sum())
     towards = centre.copy()
     distance = 0.5 * mesh.reach_m * camera.focal_length_px / np.sqrt(area / np.pi)
-    for _ in range(COARSE_ROUNDS):
+    for _ in range(8):
         position = _place_camera(camera, turn, towards, distance)
-        half = ROOM * mesh.reach_m / distance * camera.focal_length_px
+        # The drawing is 1.35 reaches of the shape to each side.
+        half = 1.35 * mesh.reach_m / distance * camera.focal_length_px
         box = float(towards[0]), float(towards[1]), half
-        drawn = draw_shape(mesh, camera, turn, position, view.sun_body, box, COARSE_NODES)
+        drawn = draw_shape(mesh, camera, turn, position, view.sun_body, box, 72)
         bright = drawn.light > 0.0
         if not bright.any():
             raise NoSolutionError(
@@ -201,7 +198,7 @@ def _draw(mesh: MeshRays, view: CameraView, turn: Rotation, position: FloatArray
     if not np.isfinite([x, y]).all() or distance < 1.2 * mesh.reach_m:
         raise NoSolutionError("the silhouette leads to no pose", ReasonCode.NOT_SETTLED)
     half = 1.05 * mesh.reach_m / distance * camera.focal_length_px + 6.0
-    nodes = int(min(MAX_NODES, np.ceil(2.0 * half)))
+    nodes = int(min(384, np.ceil(2.0 * half)))
     return draw_shape(mesh, camera, turn, position, view.sun_body, (x, y, half), nodes)
 
 
@@ -230,7 +227,8 @@ def _fit_edges(
     rows = np.concatenate([-across @ turn.as_matrix(), np.cross(seen, across)], axis=1)
     # inner and outer edges of one direction are two places of the shape
     groups = 2 * _group_by_sector(drawn) + drawn.outer
-    thinning = drawn.step / EDGE_LENGTH_PX
+    # An edge errs as one along 12 px.
+    thinning = drawn.step / 12.0
     fit = _fit_pose(rows[used], offsets[used], groups[used], thinning, view, turned)
     return _Step(drawn, used, fit)
 
@@ -247,7 +245,7 @@ def _fit_light(
     """Fit the light on the shape once; None where too little of it is matched."""
     drawn = _draw(mesh, view, turn, position)
     places, moves = match_light(values, drawn, steps)
-    if len(places) < MIN_PIECES:
+    if len(places) < 25:
         return None
     seen, by_point = _compute_derivatives(places, view, turn, position)
     turning = np.stack([np.cross(seen, by_point[:, k]) for k in range(2)], axis=1)
@@ -258,7 +256,7 @@ def _fit_light(
     groups = np.repeat(block[:, 0] + BLOCKS * block[:, 1], 2)
     thinning = (PIECE_STEP / (2.0 * PIECE)) ** 2
     fit = _fit_pose(rows.reshape(-1, 6), moves.ravel(), groups, thinning, view, turned)
-    return fit if fit.scatter < MAX_LIGHT_SCATTER_PX else None
+    return fit if fit.scatter < 1.5 else None
 
 
 def _compute_derivatives(

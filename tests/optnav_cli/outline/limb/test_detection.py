@@ -9,7 +9,7 @@ from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.segmentation import measure_levels
 from optnav_cli.outline.limb.detection import find_limb
-from optnav_cli.outline.limb.sun_check import describe_wrong_sun, measure_sun_side
+from optnav_cli.outline.one_body import describe_wrong_sun, measure_sun_side
 from tests.optnav_cli.conftest import pixel_grid
 from tests.optnav_cli.outline.disc.drawn_discs import (
     RADIUS_M,
