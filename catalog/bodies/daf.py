@@ -232,8 +232,8 @@ def _record(type_: int, tail: tuple[float, ...], is_pck: bool) -> tuple[float, i
             _, length, record, _ = tail
             most = MAX_PCK_RECORD if is_pck else MAX_SPK_RECORD
             components = 3 if type_ == 2 else 6
-            whole = (record - 2.0) % components == 0.0
-            return record, 0, whole and 2 + components <= record <= most and length > 0.0
+            divides = (record - 2.0) % components == 0.0
+            return record, 0, divides and 2 + components <= record <= most and length > 0.0
         case 1:
             return 71.0, 2, True
         case 21:

@@ -253,8 +253,8 @@ class SpiceEphemeris(Ephemeris):
         self._kernels = KernelSet(kernels)
         self._orbits = bool(self._kernels.orbits)
         self._has_sun = any(map(self._kernels.has_orbit, SUN_NAIF))
-        rest = "" if self._has_sun else "; the Sun by analytic theory (SOFA)"
-        self.name = f"SPICE kernels ({self._kernels.names}){rest}"
+        sun_source = "" if self._has_sun else "; the Sun by analytic theory (SOFA)"
+        self.name = f"SPICE kernels ({self._kernels.names}){sun_source}"
         if body.spice is None:
             raise DataError(
                 f"{body.name}: its body file has no [spice] naif; add it, or leave [spice] out"

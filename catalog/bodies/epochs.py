@@ -59,12 +59,12 @@ def tdb_s_after(utc: str, seconds: ArrayLike) -> FloatArray:
     before 1960 or after 9999.
     """
     day, part = _tai(utc)
-    found = []
+    seconds_tdb = []
     for after in np.atleast_1d(np.asarray(seconds, np.float64)).tolist():
         if not abs(after) < MAX_AFTER_S:
             raise DataError(f"{after:g} s after {utc}: wanted a time before the year 10000")
-        found.append(utc_to_tdb_s(_iso(day, part + after / DAY_S, 3)))
-    return np.array(found)
+        seconds_tdb.append(utc_to_tdb_s(_iso(day, part + after / DAY_S, 3)))
+    return np.array(seconds_tdb)
 
 
 def utc_from_tdb_s(tdb_s: float, digits: int = 6) -> str:

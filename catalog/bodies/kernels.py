@@ -211,11 +211,11 @@ class KernelSet:
 
 def _stated_of_cameras(text: bytes) -> list[str]:
     """What the text of a kernel states of cameras, as NAME = VALUE."""
-    found = []
+    statements = []
     for data in _DATA.findall(text):
         for name, value in _INSTRUMENT.findall(data):
-            found.append(f"{name.decode()} = {' '.join(value.decode('latin-1').split())}")
-    return found
+            statements.append(f"{name.decode()} = {' '.join(value.decode('latin-1').split())}")
+    return statements
 
 
 def _check_file(path: Path) -> bytes:

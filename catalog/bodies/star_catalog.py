@@ -202,8 +202,8 @@ class _Table:
 
     def _check_units(self, ra: FloatArray, dec: FloatArray) -> None:
         """Refuse a whole sky in hours or radians under the name of degrees."""
-        whole = len(ra) >= 50 and float(np.ptp(dec)) > 1.2 * max(float(np.ptp(ra)), 1e-9)
-        if whole and 20.0 < float(ra.max()) <= 24.0 and float(ra.min()) >= 0.0:
+        covers_sky = len(ra) >= 50 and float(np.ptp(dec)) > 1.2 * max(float(np.ptp(ra)), 1e-9)
+        if covers_sky and 20.0 < float(ra.max()) <= 24.0 and float(ra.min()) >= 0.0:
             raise DataError(f"{self.path}: {RA} ends at {ra.max():.4g}, as hours; multiply by 15")
         if float(np.abs(dec).max()) <= 1.5708 and 5.5 < float(ra.max()) <= 6.2832:
             raise DataError(

@@ -45,8 +45,8 @@ class BrightStars:
         year = DEFAULT_YEAR if tdb_s is None else J2000_YEAR + tdb_s / JULIAN_YEAR_S
         years = np.reshape(year - np.asarray(self.epoch_years, dtype=np.float64), (-1, 1))
         moved = self.directions + years * self.motions_rad_yr
-        found: FloatArray = moved / np.linalg.norm(moved, axis=1, keepdims=True)
-        return found
+        directions: FloatArray = moved / np.linalg.norm(moved, axis=1, keepdims=True)
+        return directions
 
     def label(self, number: int) -> str:
         """What a star is called: its name, else its number in the catalogue."""
@@ -93,5 +93,5 @@ def aberrated(directions: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
     To first order in v/c: 20" by the Earth's motion; the next order is 0.002".
     """
     seen = directions + velocity_m_s / LIGHT_M_S
-    found: FloatArray = seen / np.linalg.norm(seen, axis=1, keepdims=True)
-    return found
+    apparent: FloatArray = seen / np.linalg.norm(seen, axis=1, keepdims=True)
+    return apparent

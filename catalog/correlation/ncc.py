@@ -96,11 +96,11 @@ def _quick_high_passed(
     inner = rows - 2 * margin, cols - 2 * margin
     passed, weight = np.empty((count, *inner), np.float32), np.empty(inner, np.float32)
     filled, line = np.empty((rows, cols), np.float32), np.empty(cols + 2 * taps.size, np.float32)
-    one, zero, least = np.float32(1.0), np.float32(0.0), np.float32(1e-3)
+    unity, zero, least = np.float32(1.0), np.float32(0.0), np.float32(1e-3)
     holes = False
     for r in range(rows):
         for c in range(cols):
-            filled[r, c] = one if valid[r, c] else zero
+            filled[r, c] = unity if valid[r, c] else zero
             holes |= not valid[r, c]
     if holes:
         _fill_blurred(filled, taps, margin, line, weight)
@@ -309,9 +309,11 @@ def _fill_few_scores(
                 surface[i, j] = np.float32(-1.0)
                 continue
             _add_products(centred, image, i, j, products)
-            away = square - total * total / nodes
+            deviation = square - total * total / nodes
             # of a window without contrast about its mean rounding alone is left
-            score = products.sum() / np.sqrt(length2 * away) if away > 1e-9 * square else 0.0
+            score = (
+                products.sum() / np.sqrt(length2 * deviation) if deviation > 1e-9 * square else 0.0
+            )
             surface[i, j] = np.float32(min(max(score, -1.0), 1.0))
 
 
@@ -326,14 +328,14 @@ def _add_products(
     height, width = centred.shape
     for c in range(width):
         products[c] = 0.0
-    whole = height - height % 4
-    for r in range(0, whole, 4):
+    fours = height - height % 4
+    for r in range(0, fours, 4):
         a, b, d, e = centred[r], centred[r + 1], centred[r + 2], centred[r + 3]
         f, g = image[top + r, left : left + width], image[top + r + 1, left : left + width]
         h, k = image[top + r + 2, left : left + width], image[top + r + 3, left : left + width]
         for c in range(width):
             products[c] += float(a[c] * f[c] + b[c] * g[c] + (d[c] * h[c] + e[c] * k[c]))
-    for r in range(whole, height):
+    for r in range(fours, height):
         a, f = centred[r], image[top + r, left : left + width]
         for c in range(width):
             products[c] += float(a[c] * f[c])
@@ -446,9 +448,9 @@ def _surface(
     template: Filtered, has: Float32Array, image: Filtered, shows: Float32Array
 ) -> tuple[Float32Array, FloatArray]:
     """Scores at every place where the template fits, -1 with too few nodes; and common nodes."""
-    part, whole = template.values, image.values
-    places, side = whole.shape[0] - part.shape[0] + 1, cv2.getOptimalDFTSize(whole.shape[0])
-    images = [_waves(grid, side) for grid in (shows, whole, whole * whole)]
+    part, full = template.values, image.values
+    places, side = full.shape[0] - part.shape[0] + 1, cv2.getOptimalDFTSize(full.shape[0])
+    images = [_waves(grid, side) for grid in (shows, full, full * full)]
     parts = [_waves(grid, side) for grid in (has, part, part * part)]
 
     def sums(i: int, k: int) -> FloatArray:

@@ -185,10 +185,10 @@ class WeightedFit(NamedTuple):
 
     def remainder(self, priors: Sequence[Prior] = ()) -> Remainder:
         """The place that the strengths give."""
-        found = self.solved(priors)
-        if found is None:
+        solution = self.solved(priors)
+        if solution is None:
             return NO_REMAINDER
-        (gain, *moved), covariance = found[0][:3], found[1][1:3, 1:3]
+        (gain, *moved), covariance = solution[0][:3], solution[1][1:3, 1:3]
         return Remainder(-np.array(moved) / gain, covariance / gain**2)
 
 
@@ -384,13 +384,13 @@ def _lag_waves(side: int) -> Float32Array:
 def rest_of(patterns: Float32Array, patch: Float32Array, strengths: FloatArray) -> Float32Array:
     """What patterns (k, n, m) of some strengths (k,) leave over of a patch (n, m)."""
     count, rows, cols = patterns.shape
-    rest = patch.copy()
+    residual = patch.copy()
     for k in range(count):
         strength = np.float32(strengths[k])
         for r in range(rows):
             for c in range(cols):
-                rest[r, c] -= strength * patterns[k, r, c]
-    return rest
+                residual[r, c] -= strength * patterns[k, r, c]
+    return residual
 
 
 @kernel
@@ -502,12 +502,12 @@ def _six_nodes(shift: float) -> tuple[int, Float32Array]:
 
     shift  where value and slope are wanted, nodes from that one; less than two
     """
-    whole = int(np.floor(shift))
+    node0 = int(np.floor(shift))
     weights = np.empty((2, 6), np.float32)
     for node in range(6):
         value = slope = 0.0
         for power in range(5, -1, -1):  # by Horner's rule, the slope beside the value
-            slope = slope * (shift - whole) + value
-            value = value * (shift - whole) + _THROUGH_SIX[power, node]
+            slope = slope * (shift - node0) + value
+            value = value * (shift - node0) + _THROUGH_SIX[power, node]
         weights[0, node], weights[1, node] = value, slope
-    return whole - 2, weights
+    return node0 - 2, weights

@@ -126,7 +126,7 @@ class ReliefMatch:
         """Share of what the match leaves over that steepness and crests explain."""
         if not self._rests:
             return 0.0
-        alone, both = (float(np.square(rest).mean()) for rest in self._rests)
+        alone, both = (float(np.square(residual).mean()) for residual in self._rests)
         return 1.0 - both / alone if alone > 1e-30 else 0.0
 
     @cached_property
@@ -174,14 +174,14 @@ def frame_strengths(points: Sequence[ReliefMatch]) -> ReliefAlbedo:
     """
     shipped = shipped_strengths()
     fits = [point.fit for point in points if point.fit is not None]
-    found = [solved for fit in fits if (solved := fit.solved(_priors(shipped))) is not None]
-    if not found:
+    solutions = [solved for fit in fits if (solved := fit.solved(_priors(shipped))) is not None]
+    if not solutions:
         return shipped
     parts = []
     for prior in _priors(shipped):
         k, variance = prior.pattern - 1, prior.sigma**2
-        values = np.array([strengths[k] / strengths[0] for strengths, _ in found])
-        noise = np.array([spread[k, k] / strengths[0] ** 2 for strengths, spread in found])
+        values = np.array([strengths[k] / strengths[0] for strengths, _ in solutions])
+        noise = np.array([spread[k, k] / strengths[0] ** 2 for strengths, spread in solutions])
         # of few points their scatter is that of all ground
         scatter = max(float(((values - values.mean()) ** 2 - noise).sum()), 0.0)
         among = (scatter + PRIOR_POINTS * variance) / (len(values) - 1 + PRIOR_POINTS)

@@ -161,8 +161,8 @@ def half_pair_scores(
     lengths = np.sqrt(np.einsum("kn,kn->k", parts, parts))
     if contrast.size * size * size > MAX_IN_WINDOWS:
         grids = parts.reshape(-1, size, size)
-        found = [cv2.matchTemplate(half.values, grid, cv2.TM_CCORR) for grid in grids]
-        sums = np.asarray(np.stack(found), np.float32).reshape(len(pairs), -1)
+        products = [cv2.matchTemplate(half.values, grid, cv2.TM_CCORR) for grid in grids]
+        sums = np.asarray(np.stack(products), np.float32).reshape(len(pairs), -1)
     else:
         windows = np.empty((contrast.size, size * size), np.float32)
         _fill_windows(half.values, size, windows)
@@ -203,9 +203,9 @@ def _turns(
             across * nodes + along * nodes[:, None] + (side - 1) / 2.0,
         ]
     ).clip(0.0, side - 1.0)
-    whole = np.minimum(np.floor(places), side - 2.0)
-    at = (whole[1] * side + whole[0]).astype(np.uint32)
-    past = (places - whole).astype(np.float32)
+    corner = np.minimum(np.floor(places), side - 2.0)
+    at = (corner[1] * side + corner[0]).astype(np.uint32)
+    past = (places - corner).astype(np.float32)
     return at.reshape(len(pairs), -1), past.reshape(2, len(pairs), -1)
 
 
@@ -214,13 +214,13 @@ def _fill_turned(
     grid: Float32Array, at: NDArray[np.uint32], past: Float32Array, parts: Float32Array
 ) -> None:
     """Fill parts (k, m) with a grid (n^2,) at places of `_turns`."""
-    side, one = np.uint32(math.sqrt(grid.size)), np.uint32(1)
+    side, next_node = np.uint32(math.sqrt(grid.size)), np.uint32(1)
     for k in range(at.shape[0]):
         line, nodes, behind, below = parts[k], at[k], past[0, k], past[1, k]
         for c in range(line.size):
             upper, lower = nodes[c], nodes[c] + side
-            a = grid[upper] + behind[c] * (grid[upper + one] - grid[upper])
-            b = grid[lower] + behind[c] * (grid[lower + one] - grid[lower])
+            a = grid[upper] + behind[c] * (grid[upper + next_node] - grid[upper])
+            b = grid[lower] + behind[c] * (grid[lower + next_node] - grid[lower])
             line[c] = a + below[c] * (b - a)
 
 

@@ -228,9 +228,9 @@ def similarity_surface(reference: Float32Array, search: Float32Array) -> Float32
         raise ValueError(f"reference {reference.shape} cannot be centred in search {search.shape}")
     cells, cell_px, margin = _layout(n)
     at = np.array([margin + cells * cell_px // 2])
-    own = descriptors(_smoothed(reference), at, at, cell_px, cells)[0]
+    descriptor = descriptors(_smoothed(reference), at, at, cell_px, cells)[0]
     sums = _cell_sums(_smoothed(search), cell_px)
-    return _similarities(sums, own, margin, m - n + 1, cell_px, cell_weights(cells))
+    return _similarities(sums, descriptor, margin, m - n + 1, cell_px, cell_weights(cells))
 
 
 def own_similarity_surface(search: Float32Array, side: int) -> Float32Array:
@@ -244,8 +244,8 @@ def own_similarity_surface(search: Float32Array, side: int) -> Float32Array:
     cells, cell_px, margin = _layout(side)
     sums, weights = _cell_sums(_smoothed(search), cell_px), cell_weights(cells)
     at = np.array([(m - side) // 2 + margin + cells * cell_px // 2])
-    own = _gather(sums, at, at, cell_px, weights)[0]
-    return _similarities(sums, own, margin, m - side + 1, cell_px, weights)
+    descriptor = _gather(sums, at, at, cell_px, weights)[0]
+    return _similarities(sums, descriptor, margin, m - side + 1, cell_px, weights)
 
 
 def _layout(side: int) -> tuple[int, int, int]:

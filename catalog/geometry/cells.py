@@ -106,8 +106,8 @@ class CellGrid:
         # widest in longitude where the circle touches its meridians: sin(dlon) = sin(r)/cos(lat)
         sine = np.sin(np.radians(min(radius_deg, 90.0)))
         cosine = np.cos(np.radians(lat_deg))
-        whole = north >= 90.0 or south <= -90.0 or sine >= cosine
-        half = 180.0 if whole else float(np.degrees(np.arcsin(sine / cosine))) + 1e-9
+        all_round = north >= 90.0 or south <= -90.0 or sine >= cosine
+        half = 180.0 if all_round else float(np.degrees(np.arcsin(sine / cosine))) + 1e-9
         for band in range(first, last + 1):
             count = int(self.cells_in_band[band])
             start = int(self.first_cell[band])

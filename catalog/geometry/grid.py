@@ -49,7 +49,7 @@ def _down_columns(
     line: Float32Array,
 ) -> bool:
     """Fill columns first to last of a line with samples `past` rows after base; False: outside."""
-    half, one, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
+    half, unity, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
     three_halves, five_halves = np.float32(1.5), np.float32(2.5)
     first, last = span
     height = grid.shape[0]
@@ -67,7 +67,7 @@ def _down_columns(
             xx = x * x
             xxx = xx * x
             outer = (xx - half * (x + xxx)) * above[k] + half * (xxx - xx) * below[k]
-            inner = (one + three_halves * xxx - five_halves * xx) * upper[k]
+            inner = (unity + three_halves * xxx - five_halves * xx) * upper[k]
             line[k] = outer + (inner + (half * x + two * xx - three_halves * xxx) * lower[k])
         begin = end
     return True
@@ -83,7 +83,7 @@ def _along_line(
     out: Float32Array,
 ) -> None:
     """Fill means (n,) of samples of a line over a width about columns (n,)."""
-    half, one, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
+    half, unity, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
     three_halves, five_halves = np.float32(1.5), np.float32(2.5)
     size = cols.size
     at, over, target = work.at, work.over, work.target
@@ -93,9 +93,9 @@ def _along_line(
     for s in range(samples):
         aside = ((s + 0.5) / samples - 0.5) * width - 1.0
         for j in range(size):
-            place = cols[j] + aside
-            at[j] = np.uint32(place)
-            over[j] = np.float32(place - at[j])
+            col = cols[j] + aside
+            at[j] = np.uint32(col)
+            over[j] = np.float32(col - at[j])
         for j in range(size):
             i = np.uint64(at[j])
             x = over[j]
@@ -103,7 +103,7 @@ def _along_line(
             xxx = xx * x
             outer = (xx - half * (x + xxx)) * line[i]
             outer += half * (xxx - xx) * line[i + np.uint64(3)]
-            inner = (one + three_halves * xxx - five_halves * xx) * line[i + np.uint64(1)]
+            inner = (unity + three_halves * xxx - five_halves * xx) * line[i + np.uint64(1)]
             inner += (half * x + two * xx - three_halves * xxx) * line[i + np.uint64(2)]
             target[j] += share * (outer + inner)
     for j in range(size):
@@ -179,9 +179,9 @@ def _sample_each_row(
             # columns beyond the outer places lie on the lines of these
             end = last + 1 if j == size - 2 else int(cols[j + 1]) + 1
             while c < end:
-                place = rows[j] + (c - cols[j]) * fall[j]
-                base[c] = int(place)
-                past[c] = np.float32(place - base[c])
+                crossed = rows[j] + (c - cols[j]) * fall[j]
+                base[c] = int(crossed)
+                past[c] = np.float32(crossed - base[c])
                 c += 1
         if not _down_columns(grid, base, past, (first, last), line):
             return False

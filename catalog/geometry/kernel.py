@@ -102,20 +102,20 @@ def _compile_in_turn(cache: Any, name: str) -> None:
     Kernels call each other in no circle, so that processes do not wait for each other in one.
     """
     load, save = cache.load_overload, cache.save_overload
-    place = int.from_bytes(hashlib.sha256(name.encode()).digest()[:6])
+    slot = int.from_bytes(hashlib.sha256(name.encode()).digest()[:6])
 
     def load_or_wait(*of: Any) -> Any:
-        found = load(*of)
-        if found is None:
-            _take_turn(cache.cache_path, place)
-            found = load(*of)  # which another process may have saved meanwhile
-            if found is not None:
-                _end_turn(cache.cache_path, place)
-        return found
+        overload = load(*of)
+        if overload is None:
+            _take_turn(cache.cache_path, slot)
+            overload = load(*of)  # which another process may have saved meanwhile
+            if overload is not None:
+                _end_turn(cache.cache_path, slot)
+        return overload
 
     def save_for_all(*of: Any) -> None:
         save(*of)
-        _end_turn(cache.cache_path, place)
+        _end_turn(cache.cache_path, slot)
 
     cache.load_overload, cache.save_overload = load_or_wait, save_for_all
 
@@ -153,12 +153,12 @@ def _called_code(function: FunctionType) -> str:
     """Hash of all code and constants of ours that a kernel is compiled from."""
     digest, waiting, seen = hashlib.sha256(), [function], {function}
     while waiting:
-        one = waiting.pop()
-        code = one.__code__
+        current = waiting.pop()
+        code = current.__code__
         constants = [value for value in code.co_consts if not isinstance(value, CodeType)]
-        digest.update(f"{one.__qualname__} {constants}".encode())
+        digest.update(f"{current.__qualname__} {constants}".encode())
         digest.update(code.co_code)
-        for name, value in _globals_of(one):
+        for name, value in _globals_of(current):
             called = getattr(value, "py_func", None)
             if isinstance(called, FunctionType):
                 if called not in seen:

@@ -86,7 +86,7 @@ class Certificate:
         settings, candidate, context = self.settings, self.place, self._context
         flags = Flag.NONE
         # of a whole raster no patch has a hole; a mesh may overhang
-        if not (context.mosaic.whole and context.mosaic.has_graticules):
+        if not (context.mosaic.covers_body and context.mosaic.has_graticules):
             fine = self.patches[: cell_map.FINE_LEVELS]
             if max(np.isnan(patch.heights_m).mean() for patch in fine) > cell_map.MAX_MISSING:
                 flags |= Flag.NO_DATA

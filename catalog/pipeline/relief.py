@@ -126,9 +126,9 @@ def _made(
 
 def _rows(mosaic: Mosaic, shares: list[float], named: DemSource | None) -> int:
     """Rows of the relief: half of the body's ground is shown by models as fine, or finer."""
-    steps = [pyramid.source.place.row_angle for pyramid in mosaic.pyramids]
+    steps = [pyramid.source.georeference.row_angle for pyramid in mosaic.pyramids]
     if named is not None:
-        steps.append(named.place.row_angle)
+        steps.append(named.georeference.row_angle)
         shares = [*shares, max(0.0, 1.0 - sum(shares))]
     order = np.argsort(steps, kind="stable")
     shown = np.cumsum(np.array(shares)[order])
@@ -141,7 +141,7 @@ def _layer(pyramid: HeightPyramid, posting_m: float) -> Layer:
     is_untiled = level == 0 and not pyramid.record.tiled_copy
     block = pyramid.source.block_shape if is_untiled else (BLOCK, BLOCK)
     read = partial(pyramid.read, level)
-    return Layer(pyramid.source.place, level, pyramid.shape(level), block, read)
+    return Layer(pyramid.source.georeference, level, pyramid.shape(level), block, read)
 
 
 def _name(key: str) -> str:

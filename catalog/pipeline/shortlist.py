@@ -182,7 +182,7 @@ def _crowding(south: float, north: float) -> float:
 
 def _spans(context: StageContext, zone: Zone, cells: IntArray) -> Spans:
     """Spans of cells; without those that hold no window's middle, or lack ground."""
-    if not context.mosaic.whole:
+    if not context.mosaic.covers_body:
         cells = cells[[has_whole_patches(context, cell) for cell in cells.tolist()]]
     west, south, east, north = context.grid.bounds_of(cells)
     inset = context.config.render.inset_cell

@@ -114,7 +114,7 @@ def shade_hapke(
     middle, last = np.float32(0.5) * steps, steps * np.float32(1.0 - 1e-6)
     per_slope = np.float32(middle / TABLE_SLOPE)
     past_x, past_y = np.empty(size, np.float32), np.empty(size, np.float32)
-    place = np.empty(size, np.int32)
+    entry = np.empty(size, np.int32)
     flat, wide = table.reshape(-1), np.uint32(table.shape[1])
     for k in range(rows.together):
         number = rows.first + k
@@ -134,12 +134,12 @@ def shade_hapke(
             y = y if is_inside else ZERO
             col, row = np.int32(x), np.int32(y)
             past_x[c], past_y[c] = x - np.float32(col), y - np.float32(row)
-            place[c] = row * np.int32(wide) + col if is_inside else np.int32(-1)
+            entry[c] = row * np.int32(wide) + col if is_inside else np.int32(-1)
         for c in range(size):
             if not line[c] > ZERO:
                 continue
-            if place[c] >= 0:
-                i = np.uint32(place[c])
+            if entry[c] >= 0:
+                i = np.uint32(entry[c])
                 j = i + wide
                 dx = past_x[c]
                 first = flat[i] + dx * (flat[i + np.uint32(1)] - flat[i])
@@ -149,4 +149,4 @@ def shade_hapke(
                     line[c] *= ratio
                     continue
             normal = normal_of(slope_x[c], slope_y[c], us[c], v, here[c] * per_radius)
-            line[c] *= _looked_up(normal, light, place[c], past_x[c], past_y[c])
+            line[c] *= _looked_up(normal, light, entry[c], past_x[c], past_y[c])

@@ -114,13 +114,13 @@ def render_map_near(
     view = camera_local - np.array([0.0, 0.0, middle_m])
 
     def nearly(grid: Float32Array, step_m: float, shadows: Outer | None) -> Float32Array:
-        place = grid, step_m, sun_local
+        lit_grid = grid, step_m, sun_local
         law, radius = "lunar_lambert", radius_m
         near = render_map(
-            *place, radius_m=radius, camera_local=camera_local, law=law, outer=shadows
+            *lit_grid, radius_m=radius, camera_local=camera_local, law=law, outer=shadows
         )
-        far = render_map(*place, radius_m=radius, view_local=view, law=law, outer=None)
-        wanted = render_map_quickly(*place, radius_m=radius, view_local=view, outer=None)
+        far = render_map(*lit_grid, radius_m=radius, view_local=view, law=law, outer=None)
+        wanted = render_map_quickly(*lit_grid, radius_m=radius, view_local=view, outer=None)
         return near * np.divide(wanted, far, out=np.zeros_like(far), where=far > 0.0)
 
     level = np.full((LEVEL_NODES, LEVEL_NODES), middle_m, np.float32)
@@ -128,8 +128,8 @@ def render_map_near(
     exact = render_map(
         level, apart_m, sun_local, radius_m=radius_m, camera_local=camera_local, outer=None
     )
-    found = nearly(level, apart_m, None)
-    factor = np.divide(exact, found, out=np.ones_like(exact), where=found > 0.0)
+    approximate = nearly(level, apart_m, None)
+    factor = np.divide(exact, approximate, out=np.ones_like(exact), where=approximate > 0.0)
     spread = _spread(len(heights))
     return nearly(heights, posting_m, outer) * (spread @ factor @ spread.T)
 
@@ -138,8 +138,8 @@ def render_map_near(
 def _spread(size: int) -> Float32Array:
     """Weights (size, LEVEL_NODES) of LEVEL_NODES even places at `size` even ones between them."""
     at = np.linspace(0.0, LEVEL_NODES - 1.0, size)
-    away = np.abs(at[:, None] - np.arange(LEVEL_NODES))
-    weights: Float32Array = np.maximum(1.0 - away, 0.0).astype(np.float32)
+    distance = np.abs(at[:, None] - np.arange(LEVEL_NODES))
+    weights: Float32Array = np.maximum(1.0 - distance, 0.0).astype(np.float32)
     return weights
 
 

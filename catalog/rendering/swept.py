@@ -105,9 +105,9 @@ class _Work(NamedTuple):
 def _first_line(sweep: Sweep, span: int, t: int) -> tuple[int, float]:
     """The lowest line that a node of row t lies beside, and how far lines are past nodes, 0..1."""
     # a line that rounding leaves a hair before a column is on it
-    whole = int(np.floor(sweep.shear * t + 1e-9))
-    part = max(sweep.shear * t - whole, 0.0)
-    return (whole if sweep.flip_c else span - whole), part
+    shift = int(np.floor(sweep.shear * t + 1e-9))
+    part = max(sweep.shear * t - shift, 0.0)
+    return (shift if sweep.flip_c else span - shift), part
 
 
 @bare_kernel
@@ -188,7 +188,7 @@ def _cast_shadows(
             _enter_lines(grid, sweep, outer, work, t, number, lift)
         _fill_z(here, work, work.uu[number], grid.radius, lift)
         first, far = _first_line(sweep, work.span, t)
-        part, rest = np.float32(far), np.float32(1.0 - far)
+        part, share = np.float32(far), np.float32(1.0 - far)
         # a node lies between the line a part of a column past it and the one before that
         ahead, shift = (0, 0) if sweep.flip_c else (1, 2)
         line = work.lines[first + ahead : first + ahead + size]
@@ -197,16 +197,16 @@ def _cast_shadows(
         if made == LIMIT:
             limits, raised = target[k][:size], np.float32(lift)
             for c in range(size):
-                limits[c] = (part * near[c] + rest * line[c]) - raised
+                limits[c] = (part * near[c] + share * line[c]) - raised
         else:
             mask = work.mask[k]
             for c in range(size):
-                limit = (part * near[c] + rest * line[c]) - tolerance
+                limit = (part * near[c] + share * line[c]) - tolerance
                 lit = ONE if z[c] >= limit else ZERO
                 mask[c] = lit if here[c] == here[c] else UNKNOWN
         # a plain comparison: max() keeps the compiler from using vector registers
         for c in range(size):
-            ground = rest * z[c] + part * beside[c]
+            ground = share * z[c] + part * beside[c]
             height = line[c]
             line[c] = height if height > ground else ground
 
@@ -256,8 +256,8 @@ def _turn(heights: Float32Array, strip: Float32Array) -> None:
     for r in range(0, fours, 4):
         a, b, c, d = heights[r], heights[r + 1], heights[r + 2], heights[r + 3]
         for k in range(count):
-            place = strip[k, r : r + 4]
-            place[0], place[1], place[2], place[3] = a[k], b[k], c[k], d[k]
+            target = strip[k, r : r + 4]
+            target[0], target[1], target[2], target[3] = a[k], b[k], c[k], d[k]
     for r in range(fours, size):
         for k in range(count):
             strip[k, r] = heights[r, k]

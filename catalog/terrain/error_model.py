@@ -90,8 +90,8 @@ class ErrorSpectrum(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def factor(self, slope: ArrayLike) -> FloatArray:
         """By how much the error on ground of an rms slope exceeds that of `rms_m`."""
         at = np.interp(np.asarray(slope, np.float64), self.slope, self.slope_rms_m)
-        whole: FloatArray = at / np.interp(self.reference_slope, self.slope, self.slope_rms_m)
-        return whole
+        factors: FloatArray = at / np.interp(self.reference_slope, self.slope, self.slope_rms_m)
+        return factors
 
 
 class TerrainLaws(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -169,8 +169,8 @@ class TerrainErrorModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
             box = resolution * BOX_KM / laws.product["gld100"].resolution_km
             return cls(mesh.error * posting_m, resolution, box, mesh.source)
         if stated.product is not None:
-            found = laws.product[stated.product]
-            return cls(found.error_m, found.resolution_km, BOX_KM, found.source)
+            product = laws.product[stated.product]
+            return cls(product.error_m, product.resolution_km, BOX_KM, product.source)
         if stated.error_m is None:
             return None
         resolution = stated.resolution_km or POSTINGS_RESOLVED * posting_m / 1e3

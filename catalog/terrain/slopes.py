@@ -110,11 +110,11 @@ class SlopeSummary:
     def add(self, degrees: Float32Array, areas_m2: Float32Array) -> None:
         """Count slopes (rows, cols), deg, NaN for none, by the areas of their pixels."""
         known = np.isfinite(degrees)
-        found, areas = degrees[known].astype(np.float64), areas_m2[known].astype(np.float64)
+        known_slopes, areas = degrees[known].astype(np.float64), areas_m2[known].astype(np.float64)
         self.whole_m2 += float(areas_m2.sum(dtype=np.float64))
         self.area_m2 += float(areas.sum())
-        self.squares += float((areas * found**2).sum())
-        bins: IntArray = np.floor(found / BIN_DEG).astype(np.int64)
+        self.squares += float((areas * known_slopes**2).sum())
+        bins: IntArray = np.floor(known_slopes / BIN_DEG).astype(np.int64)
         self.histogram += np.bincount(bins, areas, self.histogram.size)
 
     @property
@@ -142,7 +142,7 @@ def pixel_sizes(source: DemSource, rows: IntArray) -> tuple[Float32Array, Float3
     row, col = np.meshgrid(rows.astype(np.float64), at, indexing="ij")
 
     def place(d_col: float, d_row: float) -> FloatArray:
-        lat, lon = source.place.latlon_from_pixel(col + d_col, row + d_row)
+        lat, lon = source.georeference.latlon_from_pixel(col + d_col, row + d_row)
         return xyz_from_latlon(lat, lon, source.body.radius_m)
 
     sizes = []
@@ -197,9 +197,9 @@ def summarize(source: DemSource, base_m: float = BASE_M) -> tuple[SlopeSummary, 
     Raises NothingToDoError where no pixel has one: holes beside all heights.
     """
     summary = SlopeSummary(max(base_m, 2.0 * source.posting_m))
-    found = np.full(source.shape, np.nan, np.float32)
+    all_slopes = np.full(source.shape, np.nan, np.float32)
     for top, slopes in dem_slopes(source, base_m):
-        found[top : top + len(slopes)] = slopes
+        all_slopes[top : top + len(slopes)] = slopes
         across, down = pixel_sizes(source, np.arange(top, top + len(slopes)))
         summary.add(slopes, across * down)
     if not summary.area_m2:
@@ -207,4 +207,4 @@ def summarize(source: DemSource, base_m: float = BASE_M) -> tuple[SlopeSummary, 
             f"{source.path}: no pixel has heights on both sides, half a base of "
             f"{summary.base_m:g} m away; fill its holes or name a shorter --base-m"
         )
-    return summary, found
+    return summary, all_slopes

@@ -19,7 +19,7 @@ class Terrain(Protocol):
     posting_m: float  # the finest posting; a finer patch is interpolated
     in_planes: bool  # whether patches lie in tangent planes: on a small body
     own_planes: bool  # whether each lies in the plane of its own ground
-    whole: bool  # whether every place of the body has a height
+    covers_body: bool  # whether every place of the body has a height
     has_graticules: bool  # whether heights on a graticule cost much less than those of points
 
     @property

@@ -79,7 +79,7 @@ def measure_slopes(
     source = DemSource.open_alone(dem, load_body(body), nodata)
     try:
         summary, degrees = summarize(source, base_m)
-        georeference = source.place
+        georeference = source.georeference
     finally:
         source.close()
     if output is not None and output.suffix.lower() == ".png":

@@ -63,8 +63,8 @@ def make_ground(
     of_16 = _join_maxima(of_4)
     of_64 = _join_maxima(of_16)
     max_heights = of_4, of_16, of_64, _join_maxima(of_64)
-    place = float(north), float(west), float(step_lat), float(step_lon), float(radius_m)
-    return Ground(heights, *place, *max_heights, lowest, highest)
+    location = float(north), float(west), float(step_lat), float(step_lon), float(radius_m)
+    return Ground(heights, *location, *max_heights, lowest, highest)
 
 
 def whole_sphere(heights: Float32Array, radius_m: float, seam: float) -> Ground:

@@ -27,19 +27,19 @@ class Feather:
     """The weight of one source of a mosaic."""
 
     def __init__(self, index: int, pyramid: HeightPyramid, cache: TileCache) -> None:
-        place = pyramid.source.place
-        self.index, self.place, self.cache = index, place, cache
+        georeference = pyramid.source.georeference
+        self.index, self.georeference, self.cache = index, georeference, cache
         self.wide_m = 1e3 * pyramid.source.settings.feather_km
         self.block = WHOLE_BLOCK
         while self.wide_m > BLOCKS_ACROSS * self.block * pyramid.source.posting_m:
             self.block *= 2
         self.block_m = self.block * pyramid.source.posting_m
         self.reach = int(np.ceil(self.wide_m / self.block_m)) + 2
-        self.mirrors = mirrored_poles(place)
-        self.whole = self._whole_blocks(pyramid)
-        cols = self.whole.shape[1]
-        self.turn = place.period / self.block if place.wraps else 0.0
-        self.even = cols % 2 == 0 and cols * self.block == place.shape[1]
+        self.mirrors = mirrored_poles(georeference)
+        self.hole_free = self._whole_blocks(pyramid)
+        cols = self.hole_free.shape[1]
+        self.turn = georeference.period / self.block if georeference.wraps else 0.0
+        self.even = cols % 2 == 0 and cols * self.block == georeference.shape[1]
 
     def _whole_blocks(self, pyramid: HeightPyramid) -> BoolArray:
         """Which blocks have all their pixels."""
@@ -50,12 +50,12 @@ class Feather:
         wanted = -(-rows // factor) * factor - rows, -(-cols // factor) * factor - cols
         known = np.pad(known, ((0, wanted[0]), (0, wanted[1])), constant_values=True)
         blocks = known.reshape(known.shape[0] // factor, factor, known.shape[1] // factor, factor)
-        whole = np.asarray(blocks.all(axis=(1, 3)))
-        if self.place.shape[0] % self.block and not self.mirrors[1]:
-            whole[-1] = False
-        if self.place.shape[1] % self.block and not self.place.wraps:
-            whole[:, -1] = False
-        return whole
+        hole_free = np.asarray(blocks.all(axis=(1, 3)))
+        if self.georeference.shape[0] % self.block and not self.mirrors[1]:
+            hole_free[-1] = False
+        if self.georeference.shape[1] % self.block and not self.georeference.wraps:
+            hole_free[:, -1] = False
+        return hole_free
 
     def weights(self, pixels: Pixels) -> FloatArray:
         """Weights (n), 0 to 1, of places (at least one) inside the raster."""
@@ -90,28 +90,30 @@ class Feather:
         rows = row0 + np.arange(TILE + 1 + 2 * self.reach)
         width = self._column_m(rows)
         # meridians crowd: more columns are within reach toward a pole
-        most = self.whole.shape[1] // 2 + 1
+        most = self.hole_free.shape[1] // 2 + 1
         room = int(min(most, np.ceil(longest / max(float(width.min()), 1e-3))))
         cols = along * TILE - room + np.arange(TILE + 1 + 2 * room)
-        whole = self._window(rows, cols)
-        if whole.all():
+        hole_free = self._window(rows, cols)
+        if hole_free.all():
             return np.full((TILE + 1, TILE + 1), longest, np.float32)
-        return _nearest_hole(whole, width, self.block_m, self.reach, room, TILE + 1, longest)
+        return _nearest_hole(hole_free, width, self.block_m, self.reach, room, TILE + 1, longest)
 
     def _column_m(self, rows: IntArray) -> FloatArray:
         """Ground width (m) of a block in rows of blocks; rows beyond a pole are those before it."""
-        height = self.whole.shape[0]
+        height = self.hole_free.shape[0]
         inside = np.where(rows < 0, -1 - rows, rows)
         inside = np.clip(np.where(inside >= height, 2 * height - 1 - inside, inside), 0, height - 1)
         middle = np.zeros(rows.size)
-        if not self.place.period:
-            return np.full(rows.size, self.block_m) / self.place.columns_per_posting(1.0, middle)
-        lat, _ = self.place.latlon_from_pixel(middle, (inside + 0.5) * self.block - 0.5)
-        return self.block_m / self.place.columns_per_posting(1.0, lat)
+        if not self.georeference.period:
+            return np.full(rows.size, self.block_m) / self.georeference.columns_per_posting(
+                1.0, middle
+            )
+        lat, _ = self.georeference.latlon_from_pixel(middle, (inside + 0.5) * self.block - 0.5)
+        return self.block_m / self.georeference.columns_per_posting(1.0, lat)
 
     def _window(self, rows: IntArray, cols: IntArray) -> BoolArray:
         """Which blocks are whole, going on round the body and over its poles."""
-        height, width = self.whole.shape
+        height, width = self.hole_free.shape
         above, below = rows < 0, rows >= height
         over = np.where(above, -1 - rows, np.where(below, 2 * height - 1 - rows, rows))
         there = (over >= 0) & (over < height)
@@ -121,9 +123,9 @@ class Feather:
         if self.turn:
             at = np.mod(at, width)
         inside = there[:, None] & (at >= 0) & (at < width)
-        found = self.whole[np.clip(over, 0, height - 1)[:, None], np.clip(at, 0, width - 1)]
-        whole: BoolArray = found & inside
-        return whole
+        inner = self.hole_free[np.clip(over, 0, height - 1)[:, None], np.clip(at, 0, width - 1)]
+        hole_free: BoolArray = inner & inside
+        return hole_free
 
 
 @kernel

@@ -149,19 +149,19 @@ def place_of(
         if _GRIDS.search(crs.to_wkt()):
             raise ValueError("it names a file of grid shifts")
         wkt, affine, sign = eastward(crs.to_wkt(), affine, longitude == "west")
-        place = georeference(wkt, affine, dataset.shape, sign, body.radius_m)
-        semi_major, semi_minor = place.ellipsoid_m
+        placed = georeference(wkt, affine, dataset.shape, sign, body.radius_m)
+        semi_major, semi_minor = placed.ellipsoid_m
     except (RasterioError, ProjError, ValueError) as error:
         raise DataError(
             f"{path}: its coordinate system cannot be used ({error}); {remedy}"
         ) from None
-    if not MIN_POSTING_M < min(place.row_angle, place.column_angle) * body.radius_m < np.inf:
+    if not MIN_POSTING_M < min(placed.row_angle, placed.column_angle) * body.radius_m < np.inf:
         raise DataError(
-            f"{path}: its pixels are {place.column_angle * body.radius_m:.3g} x "
-            f"{place.row_angle * body.radius_m:.3g} m; wanted over {MIN_POSTING_M:g} m: "
+            f"{path}: its pixels are {placed.column_angle * body.radius_m:.3g} x "
+            f"{placed.row_angle * body.radius_m:.3g} m; wanted over {MIN_POSTING_M:g} m: "
             "correct its geotransform"
         )
-    extent = place.shape[1] * place.column_angle, place.shape[0] * place.row_angle
+    extent = placed.shape[1] * placed.column_angle, placed.shape[0] * placed.row_angle
     if max(extent) > MAX_EXTENT:
         raise DataError(
             f"{path}: spans {np.degrees(extent[0]):.3g} x {np.degrees(extent[1]):.3g} deg of the "
@@ -180,9 +180,9 @@ def place_of(
             f"{path}: its coordinate system is on a flattened ellipsoid, of {semi_major:.10g} and "
             f"{semi_minor:.10g} m, whose latitudes are geodetic; heights of {body.name} count from "
             f"a sphere of {body.radius_m:.10g} m and latitudes from its centre: convert both with "
-            f"PROJ (gdalwarp by itself leaves them as they are): {_to_sphere(place, body)}"
+            f"PROJ (gdalwarp by itself leaves them as they are): {_to_sphere(placed, body)}"
         )
-    return place
+    return placed
 
 
 def _to_sphere(place: Georeference, body: Body) -> str:

@@ -55,7 +55,7 @@ class Mosaic:
         self.pyramids = tuple(pyramids)
         self.body = pyramids[0].source.body
         # one that shows all of the body without a hole: every place has ground
-        self.whole = any(p.covers_the_body for p in pyramids)
+        self.covers_body = any(p.covers_the_body for p in pyramids)
         self.posting_m = min(p.source.posting_m for p in pyramids)  # the finest of all
         self._reset()
 
@@ -80,8 +80,10 @@ class Mosaic:
         Raises DataError for a file that cannot be used and OutputError for an unwritable folder.
         """
         pyramids = [
-            HeightPyramid.load_or_build(one, base_dir, body, overview_dir / f"dem-{i:02d}")
-            for i, one in enumerate(sorted(settings, key=lambda s: s.priority))
+            HeightPyramid.load_or_build(
+                source_settings, base_dir, body, overview_dir / f"dem-{i:02d}"
+            )
+            for i, source_settings in enumerate(sorted(settings, key=lambda s: s.priority))
         ]
         return cls(pyramids)
 
@@ -113,11 +115,11 @@ class Mosaic:
 
     def files(self) -> list[Path]:
         """The sources' files and their overviews."""
-        found: set[Path] = set()
+        paths: set[Path] = set()
         for pyramid in self.pyramids:
-            found.update(pyramid.source.files)
-            found.update(path for path in pyramid.folder.iterdir() if path.is_file())
-        return sorted(found)
+            paths.update(pyramid.source.files)
+            paths.update(path for path in pyramid.folder.iterdir() if path.is_file())
+        return sorted(paths)
 
     def projection(self, lat: float, lon: float) -> Stereographic:
         """The map projection of patches about a place (rad)."""
@@ -153,7 +155,7 @@ class Mosaic:
 
     def covers(self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None) -> BoolArray:
         """Whether points (rad) have a height; a coarser posting answers from overviews, quicker."""
-        if self.whole:
+        if self.covers_body:
             return np.ones(np.broadcast_shapes(np.shape(lat), np.shape(lon)), dtype=bool)
         sampled, shape = self._at(lat, lon, posting_m or self.posting_m)
         return np.asarray(sampled.source.reshape(shape) >= 0)
@@ -177,7 +179,7 @@ class Mosaic:
         if not meeting:
             return np.full((part.height, part.width), np.nan, dtype=np.float32)
         pyramid = self.pyramids[meeting[0]]
-        if len(meeting) > 1 or pyramid.source.place.kind != CYLINDRICAL:
+        if len(meeting) > 1 or pyramid.source.georeference.kind != CYLINDRICAL:
             return heights_by_blocks(self.heights, graticule, part, posting_m)
         level = pyramid.level_for(posting_m)
         rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
@@ -229,25 +231,25 @@ class Mosaic:
         layers: list[tuple[IntArray, Float32Array, FloatArray]] = []
         wanted = np.arange(count if len(self.pyramids) > 1 else 0)  # one source gives all
         for i, pyramid in enumerate(self.pyramids):
-            pixels = places(pyramid.source.place)
+            pixels = places(pyramid.source.georeference)
             if layers:
                 pixels = pixels.part(wanted)
             level = pyramid.level_for(posting_m)
             rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
-            whole = size if not layers or wanted.size == count else 0
-            found = sample_level(self.level_windows(i, level), pixels, rows_wide, whole)
-            known = ~np.isnan(found)
+            grid_size = size if not layers or wanted.size == count else 0
+            sampled = sample_level(self.level_windows(i, level), pixels, rows_wide, grid_size)
+            known = ~np.isnan(sampled)
             if len(self.pyramids) == 1:
                 # nothing to compose: the usual case, and it is on the hot path of a build
-                return Sampled(found, known.astype(np.int8) - np.int8(1), known[None])
+                return Sampled(sampled, known.astype(np.int8) - np.int8(1), known[None])
             weight = known.astype(np.float64)
             feather = self._feather(i)
             if feather is not None and known.any():
                 inside = np.flatnonzero(known)
                 weight[inside] = feather.weights(pixels.part(inside))
             if i == 0 and weight.min(initial=1.0) >= 1.0:
-                return Sampled(found, known.astype(np.int8) - np.int8(1), known[None])
-            layers.append((wanted, found, weight))
+                return Sampled(sampled, known.astype(np.int8) - np.int8(1), known[None])
+            layers.append((wanted, sampled, weight))
             wanted = wanted[weight < 1.0]
             if not wanted.size:
                 break
@@ -275,15 +277,15 @@ def _composed(layers: Sequence[tuple[IntArray, Float32Array, FloatArray]], count
     source = np.full(count, -1, dtype=np.int8)
     used = np.zeros((len(layers), count), dtype=bool)
     for i in reversed(range(len(layers))):
-        wanted, found, weight = layers[i]
+        wanted, sampled, weight = layers[i]
         below = heights[wanted]
-        known = ~np.isnan(found)
+        known = ~np.isnan(sampled)
         alone = known & (np.isnan(below) | (weight >= 1.0))
         mixed = known & ~alone
-        heights[wanted[alone]] = found[alone]
+        heights[wanted[alone]] = sampled[alone]
         share = weight[mixed]
         # from below upward, so that a weight of 0 leaves exactly what lies below
-        upper, lower = found[mixed].astype(np.float64), below[mixed].astype(np.float64)
+        upper, lower = sampled[mixed].astype(np.float64), below[mixed].astype(np.float64)
         heights[wanted[mixed]] = lower + share * (upper - lower)
         source[wanted[alone | (mixed & (weight >= 0.5))]] = i
         used[i + 1 :, wanted[alone]] = False

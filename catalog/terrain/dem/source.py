@@ -99,7 +99,7 @@ class DemSource:
     path: Path
     settings: DemSettings
     body: Body
-    place: Georeference
+    georeference: Georeference
     convert: Conversion
     heights: str
     units: str
@@ -154,7 +154,7 @@ class DemSource:
         remedy = f'set `crs` in {section}, for example crs = "IAU_2015:30100"'
         label = read_map_label(path, dataset)
         longitude = settings.longitude or label.longitude
-        place = place_of(path, settings.crs, longitude, body, dataset, remedy)
+        georeference = place_of(path, settings.crs, longitude, body, dataset, remedy)
         units = settings.units or file_units(path, dataset.units[0] or label.unit, section)
         factor = METRES[units]
         scale = settings.scale if settings.scale is not None else float(dataset.scales[0])
@@ -174,7 +174,7 @@ class DemSource:
             path,
             settings,
             body,
-            place,
+            georeference,
             convert,
             "height",
             units,
@@ -227,7 +227,7 @@ class DemSource:
                 f"{self.path}: has heights above an ellipsoid of {equatorial / 1e3:.10g} and "
                 f"{polar / 1e3:.10g} km; wanted heights above a sphere: {remedy}"
             )
-        sphere, radius = self.place.ellipsoid_m[0], self.body.radius_m
+        sphere, radius = self.georeference.ellipsoid_m[0], self.body.radius_m
         shift = sphere - radius
         words = f"has heights above a sphere of {sphere / 1e3:.10g} km"
         if abs(shift) > MAX_DATUM_SHIFT * radius:
@@ -244,7 +244,7 @@ class DemSource:
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
-        return self.place.shape
+        return self.georeference.shape
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -255,16 +255,16 @@ class DemSource:
     @property
     def posting_m(self) -> float:
         """Ground distance of neighbouring rows."""
-        return self.place.row_angle * self.body.radius_m
+        return self.georeference.row_angle * self.body.radius_m
 
     @property
     def wraps(self) -> bool:
         """Whether the raster goes all the way round."""
-        return self.place.wraps
+        return self.georeference.wraps
 
     def pixel_from_latlon(self, lat: ArrayLike, lon: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Fractional (col, row) of latitudes and east longitudes (rad)."""
-        return self.place.pixel_from_latlon(lat, lon)
+        return self.georeference.pixel_from_latlon(lat, lon)
 
     def latlon_bounds(self) -> tuple[float, float, float, float]:
         """West, south, east, north (rad) around the raster; east - west is 2 pi if it wraps."""
@@ -273,18 +273,18 @@ class DemSource:
         down = np.linspace(-0.5, rows - 0.5, 65)
         col = np.concatenate([along, along, np.full(65, -0.5), np.full(65, cols - 0.5)])
         row = np.concatenate([np.full(65, -0.5), np.full(65, rows - 0.5), down, down])
-        if self.place.period:
-            lat, _ = self.place.latlon_from_pixel(np.full(65, (cols - 1) / 2.0), down)
-            _, lon = self.place.latlon_from_pixel([(cols - 1) / 2.0], [(rows - 1) / 2.0])
-            half = np.pi * min(1.0, cols / self.place.period)
+        if self.georeference.period:
+            lat, _ = self.georeference.latlon_from_pixel(np.full(65, (cols - 1) / 2.0), down)
+            _, lon = self.georeference.latlon_from_pixel([(cols - 1) / 2.0], [(rows - 1) / 2.0])
+            half = np.pi * min(1.0, cols / self.georeference.period)
             return float(lon[0] - half), float(lat.min()), float(lon[0] + half), float(lat.max())
-        lat, lon = self.place.latlon_from_pixel(col, row)
+        lat, lon = self.georeference.latlon_from_pixel(col, row)
         south, north = float(np.nanmin(lat)), float(np.nanmax(lat))
         for pole in (np.pi / 2.0, -np.pi / 2.0):
-            c, r = self.place.pixel_from_latlon(np.array([pole]), np.array([0.0]))
+            c, r = self.georeference.pixel_from_latlon(np.array([pole]), np.array([0.0]))
             if -0.5 <= c[0] <= cols - 0.5 and -0.5 <= r[0] <= rows - 0.5:
                 return (-np.pi, min(south, pole), np.pi, max(north, pole))
-        middle = self.place.latlon_from_pixel([(cols - 1) / 2.0], [(rows - 1) / 2.0])[1][0]
+        middle = self.georeference.latlon_from_pixel([(cols - 1) / 2.0], [(rows - 1) / 2.0])[1][0]
         offset = np.mod(lon - middle + np.pi, 2.0 * np.pi) - np.pi
         return float(middle + offset.min()), south, float(middle + offset.max()), north
 
@@ -315,9 +315,9 @@ class DemSource:
             col = np.mod(col, cols)
         inside = np.isfinite(col) & (row > -0.5) & (row < rows - 0.5)
         inside &= (col > -0.5) & (col < cols - (0.0 if self.wraps else 0.5))
-        found = np.full(np.shape(col), np.nan, dtype=np.float32)
+        sampled = np.full(np.shape(col), np.nan, dtype=np.float32)
         if not inside.any():
-            return found
+            return sampled
         spans = []
         for at, limit, wraps in ((row[inside], rows, False), (col[inside], cols, self.wraps)):
             first, last = int(at.min()) - MARGIN, int(at.max()) + MARGIN + 2
@@ -332,8 +332,8 @@ class DemSource:
             )
         window = self.read_window(top, left, high, wide)
         self.check_window(window)
-        found[inside] = sample_bicubic(window, row[inside] - top, col[inside] - left)
-        return found
+        sampled[inside] = sample_bicubic(window, row[inside] - top, col[inside] - left)
+        return sampled
 
     def read_raw(self, row: int, col: int, height: int, width: int) -> NDArray[Any]:
         """Counts as they are stored; the window must lie inside. Raises DataError.
@@ -374,10 +374,12 @@ class DemSource:
         if end is None or self.settings.nodata is not None:
             return
         stored = (end.height - self.convert.offset_m) / self.convert.scale_m
-        told = f"{round(stored, 3 if abs(stored) < 1e6 else None):.10g}"
-        remedy = f"state nodata = {told} in {self.section}"
+        nodata_text = f"{round(stored, 3 if abs(stored) < 1e6 else None):.10g}"
+        remedy = f"state nodata = {nodata_text} in {self.section}"
         if self.section == ITSELF:
-            remedy = f"mark it: gdal_translate -a_nodata {told} (slopes and hazard take --nodata)"
+            remedy = (
+                f"mark it: gdal_translate -a_nodata {nodata_text} (slopes and hazard take --nodata)"
+            )
         raise DataError(
             f"{self.path}: {end.share:.2g} of its pixels share the "
             f"{'lowest' if end.lowest else 'highest'} height, {end.height:.6g} m, {end.gap:.6g} m "
@@ -401,7 +403,7 @@ class DemSource:
         """
         self.check_range(lowest, highest)
         rows, cols = self.shape
-        extent = min(rows * self.place.row_angle, cols * self.place.column_angle)
+        extent = min(rows * self.georeference.row_angle, cols * self.georeference.column_angle)
         wide = extent * self.body.radius_m > SUSPICIOUS_EXTENT_M
         if self.settings.units is None and wide and highest - lowest < SUSPICIOUS_RELIEF_M:
             raise DataError(
@@ -413,7 +415,7 @@ class DemSource:
     def check_range(self, lowest: float, highest: float) -> None:
         """Refuse heights, m, beyond those of the body. Raises DataError with the likely cause."""
         lo, hi = self.body.plausible_heights_m
-        found = f"{self.path}: heights run from {lowest:.6g} to {highest:.6g} m"
+        range_text = f"{self.path}: heights run from {lowest:.6g} to {highest:.6g} m"
         limits = f"on {self.body.name} they lie between {lo:.6g} and {hi:.6g} m"
         if lowest < lo or highest > hi:
             radius = self.body.radius_m
@@ -424,4 +426,4 @@ class DemSource:
                 remedy = f'are these {other}? set units = "{other}" in {self.section}'
             if lo <= lowest - radius and highest - radius <= hi:
                 remedy = f'these are radii: set heights = "radius" in {self.section}'
-            raise DataError(f"{found}; {limits}; {remedy}")
+            raise DataError(f"{range_text}; {limits}; {remedy}")

@@ -39,11 +39,11 @@ class Validity:
         """Find the mask of a band of an open dataset."""
         flags = set(dataset.mask_flag_enums[band - 1])
         plain = {MaskFlags.all_valid}, {MaskFlags.nodata}
-        own = flags not in plain and not (not flags and dataset.driver in LABELLED)
+        has_mask = flags not in plain and not (not flags and dataset.driver in LABELLED)
         alpha = 0
         if MaskFlags.alpha not in flags and ColorInterp.alpha in dataset.colorinterp:
             alpha = dataset.colorinterp.index(ColorInterp.alpha) + 1
-        return cls(own, 0 if alpha == band else alpha, special)
+        return cls(has_mask, 0 if alpha == band else alpha, special)
 
     @property
     def is_plain(self) -> bool:

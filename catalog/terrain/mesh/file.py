@@ -206,13 +206,13 @@ def count_faces(path: Path, progress: Progress, kind: str = "") -> int | None:
             if size == 84 + 50 * count:  # only a binary file is so long
                 return int(count)
         file.seek(0)
-        counts, rest = Counter[str](), b""
+        counts, tail = Counter[str](), b""
         with progress.stage("count faces", total=-(-size // MEGABYTE), unit="MB") as shown:
             while block := file.read(MEGABYTE):
-                whole, _, rest = (rest + block).rpartition(b"\n")
-                counts += _counted(whole, kind)
+                full_lines, _, tail = (tail + block).rpartition(b"\n")
+                counts += _counted(full_lines, kind)
                 shown.advance()
-        counts += _counted(rest, kind)
+        counts += _counted(tail, kind)
     if counts["vertices"] > MAX_VERTICES:
         raise ValueError(f"{counts['vertices']:,} vertices; wanted up to {MAX_VERTICES:,}")
     return counts["faces"]

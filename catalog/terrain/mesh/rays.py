@@ -106,13 +106,13 @@ class MeshRays:
         """
         both = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (origins_m, rays)))
         origins, rays = (np.ascontiguousarray(v) for v in both)
-        found = np.empty(len(rays), np.int32)
+        hit_faces = np.empty(len(rays), np.int32)
         distance, cosine = np.empty(len(rays)), np.empty(len(rays))
         for part in _parts(len(rays)):
             start, ahead = self._starts(origins[part], rays[part])
-            found[part] = self._run(start, rays[part], "INTERSECT")
-            found[part][ahead] = -1
-        _places(self.corners, origins, rays, found, distance, cosine)
+            hit_faces[part] = self._run(start, rays[part], "INTERSECT")
+            hit_faces[part][ahead] = -1
+        _places(self.corners, origins, rays, hit_faces, distance, cosine)
         # rays that met a face from within are traced once more, a hair aside
         for sign in (1.0, -1.0):
             inner = np.flatnonzero(cosine > 0.0)
@@ -125,28 +125,28 @@ class MeshRays:
             again[ahead] = -1
             at, side = np.empty(inner.size), np.empty(inner.size)
             _places(self.corners, origins[inner], rays[inner], again, at, side)
-            found[inner], distance[inner], cosine[inner] = again, at, side
+            hit_faces[inner], distance[inner], cosine[inner] = again, at, side
         for n in np.flatnonzero(cosine > 0.0):
-            found[n], distance[n] = first_of_all(self.corners, origins[n], rays[n], 0.0)
-        return found, distance
+            hit_faces[n], distance[n] = first_of_all(self.corners, origins[n], rays[n], 0.0)
+        return hit_faces, distance
 
     def next_hits(
         self, origins_m: FloatArray, rays: FloatArray, beyond_m: FloatArray
     ) -> tuple[Int32Array, FloatArray]:
         """As `first_hits`, from either side and beyond distances (n) m along the rays."""
-        found = self._run(origins_m + beyond_m[:, None] * rays, rays, "INTERSECT")
+        faces = self._run(origins_m + beyond_m[:, None] * rays, rays, "INTERSECT")
         distance, cosine = np.empty(len(rays)), np.empty(len(rays))
-        _places(self.corners, origins_m, rays, found, distance, cosine)
-        return found, distance
+        _places(self.corners, origins_m, rays, faces, distance, cosine)
+        return faces, distance
 
     def on_segments(
         self, origins_m: FloatArray, rays: FloatArray, lengths_m: FloatArray
     ) -> tuple[Int32Array, FloatArray]:
         """Faces that segments (n) meet, from either side (-1: none), and distances in 64 bits."""
-        found = self._run(origins_m, rays, "INTERSECT", lengths_m)
+        faces = self._run(origins_m, rays, "INTERSECT", lengths_m)
         distance, cosine = np.empty(len(rays)), np.empty(len(rays))
-        _places(self.corners, origins_m, rays, found, distance, cosine)
-        return found, distance
+        _places(self.corners, origins_m, rays, faces, distance, cosine)
+        return faces, distance
 
     def are_blocked(self, origins_m: FloatArray, ray: FloatArray) -> BoolArray:
         """Whether the mesh stands between origins (n, 3) m and the far end of one unit ray (3,)."""

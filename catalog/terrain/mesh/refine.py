@@ -85,13 +85,13 @@ def butterfly(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArr
     """
     edges = edges_of(faces)
     sides = np.arange(edges.other.size)
-    own = sides < edges.other
+    first_side = sides < edges.other
     number = np.empty(sides.size, np.int64)
-    number[own] = len(vertices) + np.arange(int(own.sum()))
-    number[edges.other[own]] = number[own]
+    number[first_side] = len(vertices) + np.arange(int(first_side.sum()))
+    number[edges.other[first_side]] = number[first_side]
     start = np.ascontiguousarray(faces.ravel())
     count = np.bincount(start, minlength=len(vertices))
-    middles = _middles(vertices, start, edges.other, count, sides[own])
+    middles = _middles(vertices, start, edges.other, count, sides[first_side])
     a, b, c = faces.T
     ab, bc, ca = number.reshape(-1, 3).T
     four = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]

@@ -82,8 +82,8 @@ class Shape:
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         areas = np.cross(b - a, c - a)
         size = np.linalg.norm(areas, axis=1)
-        away = np.einsum("ij,ij->i", areas, a) < 0.0
-        return float(size[away].sum() / size.sum())
+        faces_inward = np.einsum("ij,ij->i", areas, a) < 0.0
+        return float(size[faces_inward].sum() / size.sum())
 
 
 def load_shape(
@@ -255,8 +255,8 @@ def crossing_places(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Places (n, 3) where edges of a closed surface go through other faces, one an edge at most."""
     rays = MeshRays(vertices[faces])
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    own = start < end  # the other side of each edge runs the other way
-    edges = np.stack([start[own], end[own]], axis=1)
+    upward = start < end  # the other side of each edge runs the other way
+    edges = np.stack([start[upward], end[upward]], axis=1)
     parts = [
         _crossed(rays, vertices, faces, edges[first : first + EDGES_AT_ONCE])
         for first in range(0, len(edges), EDGES_AT_ONCE)

@@ -50,8 +50,8 @@ def read_table(path: Path, longitude: str) -> tuple[FloatArray, IntArray]:
         rows = _numbers(islice(lines, counts[0]))
         after = next(lines, "").split()
         if len(counts) == 1 and len(after) == rows.shape[1] == 3:
-            rest = _numbers(chain([" ".join(after)], lines))
-            return _icq(np.concatenate([rows, rest]), counts[0])
+            more_rows = _numbers(chain([" ".join(after)], lines))
+            return _icq(np.concatenate([rows, more_rows]), counts[0])
         if len(counts) == 2:
             plates = _numbers(chain([" ".join(after)], lines), np.int64)
         else:

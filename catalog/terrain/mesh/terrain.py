@@ -53,7 +53,7 @@ class MeshTerrain:
                   lie in planes that touch the body's ellipsoid
     """
 
-    whole = True
+    covers_body = True
     has_graticules = False  # a ray a node costs as much anywhere
 
     def __init__(

@@ -49,23 +49,23 @@ class LevelWindows:
         self.halvings = halvings
         self._base = base or self
         self._halved = {0: self} if base is None else {}
-        place = pyramid.source.place
-        self.raster_shape = place.shape
+        georeference = pyramid.source.georeference
+        self.raster_shape = georeference.shape
         rows, cols = pyramid.shape(level)
-        whole = place.wraps and cols << level == place.shape[1]
+        full_turn = georeference.wraps and cols << level == georeference.shape[1]
         cols = -(-cols >> halvings)
         self.shape = rows, cols
         self.scale = 2.0**level
         self.squeeze = 2.0**halvings
-        self.period = place.period / (self.scale * self.squeeze)
+        self.period = georeference.period / (self.scale * self.squeeze)
         # mirroring needs an edge exactly at the pole and a column half a turn away
-        even = whole and cols % 2 == 0 and rows << level == place.shape[0]
-        self.wraps = whole
-        top, bottom = mirrored_poles(place)
+        even = full_turn and cols % 2 == 0 and rows << level == georeference.shape[0]
+        self.wraps = full_turn
+        top, bottom = mirrored_poles(georeference)
         self.mirrors_top, self.mirrors_bottom = even and top, even and bottom
         self.most_halvings = 0
         # halvings leave some columns, and an even number of whole ones in a ring
-        while base is None and cols >= 2 * MIN_COLUMNS and not (whole and cols % 4):
+        while base is None and cols >= 2 * MIN_COLUMNS and not (full_turn and cols % 4):
             cols, self.most_halvings = -(-cols // 2), self.most_halvings + 1
 
     def halved(self, halvings: int) -> "LevelWindows":
@@ -150,10 +150,12 @@ class LevelWindows:
 
         Footprints are about as high as the level's rows, half as high at the finest level.
         """
-        place = self.pyramid.source.place
+        georeference = self.pyramid.source.georeference
         edges = np.array([down * TILE, min((down + 1) * TILE, self.shape[0])]) * self.scale - 0.5
-        lat, _ = place.latlon_from_pixel(np.zeros(2), edges)
-        wide = (1.0 if self.level else 0.5) * float(place.columns_per_posting(1.0, lat).min())
+        lat, _ = georeference.latlon_from_pixel(np.zeros(2), edges)
+        wide = (1.0 if self.level else 0.5) * float(
+            georeference.columns_per_posting(1.0, lat).min()
+        )
         return int(halvings_for(wide, self.most_halvings))
 
 

@@ -66,11 +66,11 @@ class PyramidRecord(msgspec.Struct, frozen=True):
 class _Statistics:
     """What reading a source found.
 
-    whole   blocks of WHOLE_BLOCK pixels a side that have all their pixels
-    sample  some of its heights
+    hole_free  blocks of WHOLE_BLOCK pixels a side that have all their pixels
+    sample     some of its heights
     """
 
-    whole: BoolArray
+    hole_free: BoolArray
     sample: HeightSample
     lowest: float = math.inf
     highest: float = -math.inf
@@ -124,7 +124,7 @@ def write_levels(
     source.check_sample(statistics.sample.heights)
     source.check_heights(statistics.lowest, statistics.highest)
     if statistics.valid < statistics.total:
-        np.save(whole_blocks_path(folder), statistics.whole)
+        np.save(whole_blocks_path(folder), statistics.hole_free)
     return PyramidRecord(
         format=FORMAT,
         settings=source.settings,
@@ -185,7 +185,7 @@ def _cascade(
         if first == 0 and part[2] < part[3]:
             # windows begin at whole blocks: each writes its own part
             at = window[0] // WHOLE_BLOCK, window[1] // WHOLE_BLOCK
-            mark_holes(raw, convert, WHOLE_BLOCK, statistics.whole[at[0] :, at[1] :])
+            mark_holes(raw, convert, WHOLE_BLOCK, statistics.hole_free[at[0] :, at[1] :])
         grids = []
         if made > 0:
             grids.append(halve_raw(raw, convert, step))
@@ -246,7 +246,7 @@ def _in_order(
 def _create(source: DemSource, folder: Path, level: int) -> Any:
     """A tiled file to write a level to: heights, or counts as they are for level 0."""
     rows, cols = level_shape(source.shape, level)
-    a, b, c, d, e, f = source.place.affine
+    a, b, c, d, e, f = source.georeference.affine
     step = 2.0**level
     dtype = "float32" if level else source.dtype
     # Overviews are not packed: that took half of the time of making them, on one core, and half of
@@ -263,7 +263,7 @@ def _create(source: DemSource, folder: Path, level: int) -> Any:
         count=1,
         dtype=dtype,
         nodata=math.nan if level else None,
-        crs=rasterio.CRS.from_wkt(source.place.wkt),
+        crs=rasterio.CRS.from_wkt(source.georeference.wkt),
         transform=rasterio.Affine(a * step, b * step, c, d * step, e * step, f),
         tiled=True,
         blockxsize=BLOCK,
@@ -310,9 +310,9 @@ def extremes(raw: NDArray[Any], convert: Conversion) -> tuple[float, float, int,
             valid += 1 if known else 0
     if valid == 0:
         return np.inf, -np.inf, 0, raw.size
-    one = low.min() * convert.scale_m + convert.offset_m
+    least = low.min() * convert.scale_m + convert.offset_m
     other = high.max() * convert.scale_m + convert.offset_m
-    return min(one, other), max(one, other), valid, raw.size
+    return min(least, other), max(least, other), valid, raw.size
 
 
 @kernel

@@ -55,9 +55,9 @@ class HeightPyramid:
     @property
     def covers_the_body(self) -> bool:
         """Whether every place has a height: pole to pole, all round, no holes."""
-        place = self.source.place
-        rows = place.shape[0]
-        ends = [place.reaches_pole(edge, POLE_TOLERANCE) for edge in (-0.5, rows - 0.5)]
+        georeference = self.source.georeference
+        rows = georeference.shape[0]
+        ends = [georeference.reaches_pole(edge, POLE_TOLERANCE) for edge in (-0.5, rows - 0.5)]
         return self.record.valid_share == 1.0 and sorted(ends) == [-1, 1]
 
     def whole_blocks(self) -> BoolArray:
@@ -66,10 +66,10 @@ class HeightPyramid:
             return np.ones(tuple(-(-side // WHOLE_BLOCK) for side in self.source.shape), dtype=bool)
         path = whole_blocks_path(self.folder)
         try:
-            found: BoolArray = np.load(path)
+            hole_free: BoolArray = np.load(path)
         except (OSError, ValueError):
             raise DataError(_torn(path, self.folder)) from None
-        return found
+        return hole_free
 
     def level_for(self, posting_m: float) -> int:
         """The coarsest level whose posting is at most 1.05 times the wanted one; 0 if none is."""

@@ -52,9 +52,9 @@ class GlobalRelief:
     def heights_at(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
         """Heights (...) m between the cells' means, at latitudes and east longitudes (rad)."""
         lat, lon = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (lat, lon)))
-        found = np.empty(lat.size)
-        _heights(self.heights, np.ravel(lat), np.ravel(lon), found)
-        return found.reshape(lat.shape)
+        heights = np.empty(lat.size)
+        _heights(self.heights, np.ravel(lat), np.ravel(lon), heights)
+        return heights.reshape(lat.shape)
 
 
 @kernel

@@ -38,14 +38,14 @@ MIN_COVERAGE = 0.99  # of the sphere; the rest is filled from its surroundings
 class Layer(NamedTuple):
     """Heights of one raster, perhaps of an overview of it.
 
-    place  of the raster at its own posting
-    level  halvings of it that `read` gives
-    shape  rows and columns at that level
-    block  rows and columns that its file keeps together
-    read   heights (height, width) m of a window
+    georeference  of the raster at its own posting
+    level         halvings of it that `read` gives
+    shape         rows and columns at that level
+    block         rows and columns that its file keeps together
+    read          heights (height, width) m of a window
     """
 
-    place: Georeference
+    georeference: Georeference
     level: int
     shape: tuple[int, int]
     block: tuple[int, int]
@@ -109,7 +109,7 @@ class CellSums:
         with progress.stage("relief", total=len(windows), unit="window") as stage:
             for window in windows:
                 pixels = layer.read(*window)
-                if layer.place.kind == CYLINDRICAL:
+                if layer.georeference.kind == CYLINDRICAL:
                     low, high = _add_overlaps(pixels, *_edges(layer, len(self.means), window), new)
                 else:
                     low, high = _add_middles(pixels, *_middles(layer, len(self.means), window), new)
@@ -126,12 +126,12 @@ class CellSums:
         """
         holes = np.argwhere(self.shares == 0.0)
         while holes.size:
-            found = _of_neighbours(holes, self.means, self.shares, self.max_heights)
-            known = np.isfinite(found[:, 0])
+            estimates = _of_neighbours(holes, self.means, self.shares, self.max_heights)
+            known = np.isfinite(estimates[:, 0])
             if not known.any():
                 return
             row, col = holes[known].T
-            self.means[row, col], self.max_heights[row, col] = found[known].T
+            self.means[row, col], self.max_heights[row, col] = estimates[known].T
             self.shares[row, col] = 1.0
             holes = holes[~known]
 
@@ -143,7 +143,7 @@ def relief_from_dem(source: DemSource, rows: int | None = None) -> GlobalRelief:
     Raises DataError for a damaged file, one of a part of the body or with impossible heights.
     """
     check_share(share_within_bounds(source), source.path, source.body)  # before all of it is read
-    sums = CellSums(rows or rows_of(source.place.row_angle))
+    sums = CellSums(rows or rows_of(source.georeference.row_angle))
     lay_whole(sums, source, SilentProgress())
     check_share(sums.coverage, source.path, source.body)
     return finished(sums, source.body.radius_m, source.path.name)
@@ -178,7 +178,7 @@ def lay_whole(sums: CellSums, source: DemSource, progress: Progress) -> None:
         sample.add(heights)
         return heights
 
-    layer = Layer(source.place, 0, source.shape, source.block_shape, read)
+    layer = Layer(source.georeference, 0, source.shape, source.block_shape, read)
     lowest_m, highest_m = sums.fill_from(layer, progress)
     if lowest_m <= highest_m:
         source.check_sample(sample.heights)
@@ -218,12 +218,12 @@ def load_relief(path: str, body: Body, stated: StatedError | None = None) -> Glo
 def _edges(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
     """Cell rows (height + 1) and columns (width + 1) of a window's pixel edges, fractional."""
     row, col, height, width = window
-    col0, cols_per_rad, row0, rows_per_rad, _ = layer.place.parameters
+    col0, cols_per_rad, row0, rows_per_rad, _ = layer.georeference.parameters
     step = 2.0**layer.level
-    edge_row = np.minimum((row + np.arange(height + 1)) * step, layer.place.shape[0]) - 0.5
-    edge_col = np.minimum((col + np.arange(width + 1)) * step, layer.place.shape[1]) - 0.5
+    edge_row = np.minimum((row + np.arange(height + 1)) * step, layer.georeference.shape[0]) - 0.5
+    edge_col = np.minimum((col + np.arange(width + 1)) * step, layer.georeference.shape[1]) - 0.5
     lat = (edge_row - row0) / rows_per_rad
-    lon = (edge_col - col0) / cols_per_rad * layer.place.longitude_sign
+    lon = (edge_col - col0) / cols_per_rad * layer.georeference.longitude_sign
     return (np.pi / 2.0 - lat) * (rows / np.pi), (lon + np.pi) * (rows / np.pi)
 
 
@@ -232,7 +232,7 @@ def _middles(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, Float
     row, col, height, width = window
     step = 2.0**layer.level
     at_row, at_col = np.mgrid[row : row + height, col : col + width] + 0.5
-    lat, lon = layer.place.latlon_from_pixel(at_col * step - 0.5, at_row * step - 0.5)
+    lat, lon = layer.georeference.latlon_from_pixel(at_col * step - 0.5, at_row * step - 0.5)
     return (np.pi / 2.0 - lat) * (rows / np.pi), (lon + np.pi) * (rows / np.pi)
 
 
@@ -313,7 +313,7 @@ def _of_neighbours(
 ) -> FloatArray:
     """Mean and greatest height (holes, 2) of the eight cells around, averaged; NaN without any."""
     rows, cols = means.shape
-    found = np.full((holes.shape[0], 2), np.nan)
+    estimates = np.full((holes.shape[0], 2), np.nan)
     for n in range(holes.shape[0]):
         height, top, count = 0.0, 0.0, 0
         for i in range(max(holes[n, 0] - 1, 0), min(holes[n, 0] + 2, rows)):
@@ -324,5 +324,5 @@ def _of_neighbours(
                     top += max_heights[i, k]
                     count += 1
         if count:
-            found[n, 0], found[n, 1] = height / count, top / count
-    return found
+            estimates[n, 0], estimates[n, 1] = height / count, top / count
+    return estimates

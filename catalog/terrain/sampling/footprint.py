@@ -178,9 +178,9 @@ def _cubic(window: Float32Array, row: float, col: float) -> float:
     """Cubic convolution where all sixteen neighbours are inside; NaN beside a hole."""
     r, c = np.uint64(row - 1.0), np.uint64(col - 1.0)
     a, b, d, e = cubic_weights(row - np.floor(row))
-    one = np.uint64(1)
-    r1, r2, r3 = r + one, r + one + one, r + one + one + one
-    c1, c2, c3 = c + one, c + one + one, c + one + one + one
+    step = np.uint64(1)
+    r1, r2, r3 = r + step, r + step + step, r + step + step + step
+    c1, c2, c3 = c + step, c + step + step, c + step + step + step
     # down first: four columns side by side
     v0 = a * window[r, c] + b * window[r1, c] + d * window[r2, c] + e * window[r3, c]
     v1 = a * window[r, c1] + b * window[r1, c1] + d * window[r2, c1] + e * window[r3, c1]
@@ -199,10 +199,10 @@ def add_weights(at: float, wide: float, samples: int, out: FloatArray) -> tuple[
     for k in range(used + 3):
         out[np.uint64(k)] = 0.0
     for k in range(samples):
-        place = at + ((k + 0.5) * share - 0.5) * wide
-        whole = np.floor(place)
-        start = np.uint64(int(whole) - 1 - first)
-        for weight in cubic_weights(place - whole):
+        centre = at + ((k + 0.5) * share - 0.5) * wide
+        node0 = np.floor(centre)
+        start = np.uint64(int(node0) - 1 - first)
+        for weight in cubic_weights(centre - node0):
             out[start] += weight * share
             start += np.uint64(1)
     return first, used
@@ -220,11 +220,11 @@ def _four_rows(
 ) -> float:
     """Weighted sum over four rows from `row` on, whose weights are those from place `a` on."""
     # unsigned: an index that cannot count from the end needs no test
-    one = np.uint64(1)
+    step = np.uint64(1)
     w, r, c = np.uint64(a), np.uint64(row), np.uint64(col)
-    w0, w1 = row_weights[w], row_weights[w + one]
-    w2, w3 = row_weights[w + one + one], row_weights[w + one + one + one]
-    r1, r2, r3 = r + one, r + one + one, r + one + one + one
+    w0, w1 = row_weights[w], row_weights[w + step]
+    w2, w3 = row_weights[w + step + step], row_weights[w + step + step + step]
+    r1, r2, r3 = r + step, r + step + step, r + step + step + step
     total = 0.0
     for k in range(cols_used):
         b = np.uint64(k)

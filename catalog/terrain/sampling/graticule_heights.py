@@ -53,14 +53,14 @@ def heights_by_weights(
     rows_wide  rows of the level that a footprint is high
     A node whose footprint touches a hole has no height.
     """
-    place = pyramid.source.place
-    col0, cols_per_rad, row0, rows_per_rad, period = place.parameters
+    georeference = pyramid.source.georeference
+    col0, cols_per_rad, row0, rows_per_rad, period = georeference.parameters
     wide = period / (graticule.columns * base.scale)
     level = base.halved(int(halvings_for(wide, base.most_halvings)))
     row = (row0 + rows_per_rad * graticule.lat(part.rows) + 0.5) / level.scale - 0.5
-    col = col0 + cols_per_rad * place.longitude_sign * graticule.lon(part.cols)
+    col = col0 + cols_per_rad * georeference.longitude_sign * graticule.lon(part.cols)
     # of that turn which the raster shows
-    col -= np.floor((col - (place.shape[1] - 1) / 2.0) / period + 0.5) * period
+    col -= np.floor((col - (georeference.shape[1] - 1) / 2.0) / period + 0.5) * period
     col = (col + 0.5) / (level.scale * level.squeeze) - 0.5
     first_row, row_weights = _weights(row, rows_wide, MAX_ROWS)
     first_col, col_weights = _weights(col, wide / level.squeeze, MAX_COLUMNS)
@@ -84,14 +84,14 @@ def _weights(at: FloatArray, wide: float, most: int) -> tuple[IntArray, Float32A
     """First pixel and weights (n, taps) of footprints about places, `wide` pixels wide."""
     samples = samples_across(wide, most)
     taps = int(np.ceil(wide)) + 5
-    one = np.zeros(taps + 8)
+    line = np.zeros(taps + 8)
     first = np.empty(at.size, np.int64)
     out = np.zeros((at.size, taps), np.float32)
     used = 0
     for i in range(at.size):
-        first[i], count = add_weights(at[i], wide, samples, one)
+        first[i], count = add_weights(at[i], wide, samples, line)
         for k in range(count):
-            out[i, k] = one[k]
+            out[i, k] = line[k]
         used = max(used, count)
     return first, out[:, :used].copy()
 

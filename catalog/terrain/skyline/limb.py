@@ -73,13 +73,13 @@ class LimbRelief:
         axes      (3, 3) rows: first and second direction of azimuth, and up; see `nadir_axes`
         azimuths  (n,) rad, from the first axis towards the second
         """
-        place = np.ascontiguousarray(position_m, dtype=np.float64)
+        viewer = np.ascontiguousarray(position_m, dtype=np.float64)
         around = np.ascontiguousarray(azimuths, dtype=np.float64)
-        found = np.empty((3, around.size))
+        values = np.empty((3, around.size))
         body = self.grid, self.bounds, self.radius_m, self.highest_m
         rows = np.ascontiguousarray(axes, dtype=np.float64)
-        _skyline(*body, float(np.linalg.norm(place)), rows, around, found)
-        return Skyline(*found)
+        _skyline(*body, float(np.linalg.norm(viewer)), rows, around, values)
+        return Skyline(*values)
 
     def sunlit(self, points: ArrayLike, sun: ArrayLike) -> BoolArray:
         """Whether the Sun (3,), a direction, stands clear of the relief at places (n, 3), m."""

@@ -269,7 +269,7 @@ def _limits_along(
     spacing, step = LINE_SPACING_NODES * posting, INNER_STEP_NODES * posting
     near_s, near_z = room[0], room[1]
     outside = room[2], room[3]
-    towards = away = 0.0
+    towards = behind = 0.0
     lines = int(2.0 * corner / spacing) + 1
     for line in range(lines):
         across = (line - (lines - 1) / 2.0) * spacing
@@ -285,8 +285,8 @@ def _limits_along(
         for k in range(near):
             near_s[k] = -near_s[k]
         plane = Plane(-across, -east, -north)
-        away = _steepest_outside(ground, plane, -first * step, inside, outside, away)
-    return towards, away
+        behind = _steepest_outside(ground, plane, -first * step, inside, outside, behind)
+    return towards, behind
 
 
 @kernel

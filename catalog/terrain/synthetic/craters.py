@@ -93,14 +93,14 @@ def _crater(
     state: np.uint64, index: int, band: int, bands: int, column: int, columns: int, smallest: float
 ) -> tuple[float, float, float, float, float]:
     """Latitude, longitude, diameter, rim-to-floor depth (unit of `smallest`), wear of a crater."""
-    own = join(state, index)
+    crater_state = join(state, index)
     south = np.sin(-0.5 * np.pi + np.pi * band / bands)
     north = np.sin(-0.5 * np.pi + np.pi * (band + 1) / bands)
-    lat = np.arcsin(min(1.0, max(-1.0, south + (north - south) * unit(join(own, 1)))))
-    lon = -np.pi + 2.0 * np.pi * (column + unit(join(own, 2))) / columns
+    lat = np.arcsin(min(1.0, max(-1.0, south + (north - south) * unit(join(crater_state, 1)))))
+    lon = -np.pi + 2.0 * np.pi * (column + unit(join(crater_state, 2))) / columns
     # cumulative D^-2 between D and 2 D
-    diameter = smallest / np.sqrt(1.0 - 0.75 * unit(join(own, 3)))
-    freshness = unit(join(own, 4)) ** 2
+    diameter = smallest / np.sqrt(1.0 - 0.75 * unit(join(crater_state, 3)))
+    freshness = unit(join(crater_state, 4)) ** 2
     depth = diameter * (WORN_DEPTH + (FRESH_DEPTH - WORN_DEPTH) * freshness)
     return lat, lon, diameter, depth, 1.0 - freshness
 
@@ -112,7 +112,7 @@ def _gather(population: Population, box: FloatArray, table: FloatArray) -> int:
     Returns their number; stops writing, not counting, when the table is full.
     """
     seed, octaves, largest, f, radius = population
-    found = 0
+    count = 0
     for octave in range(octaves):
         top = largest / 2.0**octave
         reach = 0.5 * REACH * top / radius
@@ -135,12 +135,12 @@ def _gather(population: Population, box: FloatArray, table: FloatArray) -> int:
                 state = join(join(np.uint64(0x0C7A7E25), seed), octave)
                 state = join(join(state, band), column)
                 for index in range(_cell_count(state, band, bands, columns, 0.5 * top, f, radius)):
-                    if found < table.shape[0]:
+                    if count < table.shape[0]:
                         crater = _crater(state, index, band, bands, column, columns, 0.5 * top)
                         for k in range(5):
-                            table[found, k] = crater[k]
-                    found += 1
-    return found
+                            table[count, k] = crater[k]
+                    count += 1
+    return count
 
 
 def crater_table(

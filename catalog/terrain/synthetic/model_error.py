@@ -42,8 +42,8 @@ def octaves_of(
     fine = first / 2.0 ** np.arange(count)
     # the fine ones stand in a fixed proportion, as relief of a power law does
     shape = (fine / fine[0]) ** HURST
-    own = (box_rms(boxes, fine) ** 2 @ shape**2)[:, None]
-    parts = np.concatenate([own, box_rms(boxes, coarse) ** 2], axis=1)
+    fine_power = (box_rms(boxes, fine) ** 2 @ shape**2)[:, None]
+    parts = np.concatenate([fine_power, box_rms(boxes, coarse) ** 2], axis=1)
     # between shares of the variance and metres: small boxes, whose error is large, count more
     weights = np.array(spectrum.rms_m) ** -1.0
     power, _ = nnls(parts * weights[:, None], np.array(spectrum.rms_m) ** 2 * weights)
@@ -58,8 +58,8 @@ def box_rms(boxes_m: FloatArray, spacing_m: FloatArray) -> FloatArray:
     sides = boxes_m[:, None] / spacing_m
     inner = np.interp(sides, BOX_SIDES, BOX_RMS)
     outer = BOX_RMS[-1] * BOX_SIDES[-1] / np.maximum(sides, BOX_SIDES[-1])
-    found: FloatArray = np.where(sides > BOX_SIDES[-1], outer, inner)
-    return found
+    rms: FloatArray = np.where(sides > BOX_SIDES[-1], outer, inner)
+    return rms
 
 
 def rms_slope(heights: Float32Array, row_m: float, column_m: ArrayLike) -> Float32Array:
@@ -77,8 +77,8 @@ def rms_slope(heights: Float32Array, row_m: float, column_m: ArrayLike) -> Float
     reach = SLOPE_REACH_M / row_m, SLOPE_REACH_M / float(np.median(widths))
     total = gaussian_filter(square * known, reach, mode="nearest")
     weight = gaussian_filter(known, reach, mode="nearest")
-    found: Float32Array = np.sqrt(total / np.maximum(weight, 1e-6)).astype(np.float32)
-    return found
+    slopes: Float32Array = np.sqrt(total / np.maximum(weight, 1e-6)).astype(np.float32)
+    return slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,8 +121,8 @@ class SlopeMap:
         east = np.mod(lon - middle + np.pi, 2.0 * np.pi) - np.pi + middle - self.west
         row = np.clip((self.north - lat) / self.step_lat, 0.0, rows - 1.0)
         col = np.clip(east / self.step_lon, 0.0, cols - 1.0)
-        found: FloatArray = sample_bicubic(self.slopes, row, col).astype(np.float64)
-        return found
+        sampled: FloatArray = sample_bicubic(self.slopes, row, col).astype(np.float64)
+        return sampled
 
 
 @dataclass(frozen=True, eq=False)

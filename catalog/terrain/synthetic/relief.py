@@ -125,10 +125,12 @@ class SyntheticRelief:
         table = craters.crater_table(
             self._population(octaves), *_body_box(body_from_grid, lat, lon)
         )
-        own = xyz_from_latlon(table[:, craters.LAT], table[:, craters.LON], 1.0) @ body_from_grid
-        own_lat = np.arcsin(np.clip(own[:, 2], -1.0, 1.0))
+        directions = (
+            xyz_from_latlon(table[:, craters.LAT], table[:, craters.LON], 1.0) @ body_from_grid
+        )
+        own_lat = np.arcsin(np.clip(directions[:, 2], -1.0, 1.0))
         row = (grid.north - own_lat) / step
-        col = np.mod(np.arctan2(own[:, 1], own[:, 0]) - grid.west, 2.0 * np.pi) / step
+        col = np.mod(np.arctan2(directions[:, 1], directions[:, 0]) - grid.west, 2.0 * np.pi) / step
         reach = craters.REACH * table[:, craters.DIAMETER] / posting
         wide = reach / np.cos(own_lat)
         turn = 2.0 * np.pi / step
@@ -202,8 +204,8 @@ def _body_box(
     directions = xyz_from_latlon(all_lat.ravel(), all_lon.ravel(), 1.0) @ body_from_grid.T
     # what lies between the places looked at: a step of theirs and a margin
     margin = float(np.abs(np.diff(a)).max() + np.abs(np.diff(b)).max())
-    own = np.arcsin(np.clip(directions[:, 2], -1.0, 1.0))
-    south, north = float(own.min()) - margin, float(own.max()) + margin
+    all_lat_body = np.arcsin(np.clip(directions[:, 2], -1.0, 1.0))
+    south, north = float(all_lat_body.min()) - margin, float(all_lat_body.max()) + margin
     if max(-south, north) >= 0.5 * np.pi - 0.02:
         return max(south, -0.5 * np.pi), -np.pi, min(north, 0.5 * np.pi), 2.0 * np.pi
     middle = directions.mean(axis=0)

@@ -56,7 +56,7 @@ def test_a_feathered_source_counts_by_its_distance_from_edge_and_holes(tmp_path,
     source = mosaic.pyramids[0].source
     rng = np.random.default_rng(1)
     row, col = rng.uniform(3, 396, 4000), rng.uniform(3, 396, 4000)
-    lat, lon = source.place.latlon_from_pixel(col, row)
+    lat, lon = source.georeference.latlon_from_pixel(col, row)
     share = (mosaic.heights(lat, lon, 700.0) - lower.heights(lat, lon, 700.0)) / BIAS_M
     pixel_km = source.posting_m / 1e3
     room = np.pad(np.isfinite(values), 1)
@@ -111,7 +111,7 @@ def test_the_edge_of_the_lower_source_does_not_cut_the_upper(tmp_path, dems, moo
     upper = DemSettings(path=str(region), feather_km=30.0)
     mosaic = Mosaic.from_files([upper, units], tmp_path, moon, tmp_path / "o")
     row, col = np.arange(20.0, 180.0), np.full(160, 2.0)
-    lat, lon = mosaic.pyramids[0].source.place.latlon_from_pixel(col, row)
+    lat, lon = mosaic.pyramids[0].source.georeference.latlon_from_pixel(col, row)
     np.testing.assert_allclose(mosaic.heights(lat, lon, 300.0), values[20:180, 2], atol=0.01)
 
 
@@ -130,7 +130,7 @@ def test_distances_are_right_about_a_pole_and_across_180_degrees(tmp_path, dems,
     globe = dems.write(tmp_path / "globe.tif", dems.smooth_grid(180).astype(np.float32))
     mosaic = layered(moon, tmp_path, upper, globe, 200.0)
     feather = mosaic._feather(0)
-    place = mosaic.pyramids[0].source.place
+    place = mosaic.pyramids[0].source.georeference
     rng = np.random.default_rng(5)
     row, col = rng.uniform(0, 159, 3000), rng.uniform(-0.5, 2879.5, 3000)
     lat, lon = place.latlon_from_pixel(col, row)

@@ -39,7 +39,7 @@ def test_nodes_fall_where_their_latitude_and_longitude_say(
     The long way: the projection's latitude and longitude, then the raster's own formula.
     """
     path = dems.write(tmp_path / "globe.tif", dems.smooth_grid(90).astype(np.float32))
-    place = mosaic_of(moon, tmp_path, path).pyramids[0].source.place
+    place = mosaic_of(moon, tmp_path, path).pyramids[0].source.georeference
     posting = 118.45
     lat_deg = where
     if isinstance(where, str):
@@ -66,7 +66,7 @@ def test_nodes_fall_right_in_polar_stereographic_rasters(tmp_path, dems, moon, p
         tmp_path / "p.tif", np.eye(200, dtype=np.float32) * 100.0, crs=crs, affine=affine
     )
     one = DemSettings(path=str(path), longitude="west" if west else "east", heights="height")
-    place = Mosaic.from_files([one], tmp_path, moon, tmp_path / "o").pyramids[0].source.place
+    place = Mosaic.from_files([one], tmp_path, moon, tmp_path / "o").pyramids[0].source.georeference
     for lat_deg, lon_deg in ((pole, 12.0), (pole * 0.97, -170.0), (pole * 0.99, 33.0)):
         projection = Stereographic(np.radians(lat_deg), np.radians(lon_deg), moon.radius_m)
         pixels = pixels_of_grid(place, projection, 500.0, 41)

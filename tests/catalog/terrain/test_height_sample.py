@@ -109,7 +109,7 @@ def test_every_reader_names_the_value_to_state(tmp_path, dems, moon, dtype):
     def source(path, **settings):
         return DemSource.open(DemSettings(path.name, **settings), tmp_path, moon)
 
-    lat, lon = source(path).place.latlon_from_pixel([20.0, 180.0], [20.0, 180.0])
+    lat, lon = source(path).georeference.latlon_from_pixel([20.0, 180.0], [20.0, 180.0])
     readers = [
         lambda: HeightPyramid.build(source(path), tmp_path / "levels"),
         lambda: summarize(source(path), 2000.0),
@@ -144,6 +144,6 @@ def test_slopes_and_places_refuse_heights_that_the_body_cannot_have(tmp_path, de
     source = DemSource.open_alone(path, moon)
     with pytest.raises(DataError, match="on moon they lie between"):
         summarize(source, 2000.0)
-    lat, lon = source.place.latlon_from_pixel([5.0, 60.0], [5.0, 60.0])
+    lat, lon = source.georeference.latlon_from_pixel([5.0, 60.0], [5.0, 60.0])
     with pytest.raises(DataError, match="on moon they lie between"):
         source.heights_at(lat, lon)

@@ -13,7 +13,7 @@ from catalog.terrain.sampling.map_nodes import STEPS, pixels_of_grid, pixels_of_
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     dem = DemSettings(path=str(resource("data/moon_gld100_4ppd.tif")))
-    return DemSource.open(dem, tmp_path_factory.mktemp("base"), load_body("moon")).place
+    return DemSource.open(dem, tmp_path_factory.mktemp("base"), load_body("moon")).georeference
 
 
 @pytest.mark.parametrize("size", [*range(2, 5 * STEPS[0] + 3), 80, 81, 330, 401])

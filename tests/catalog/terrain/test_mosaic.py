@@ -90,7 +90,7 @@ def test_real_heights_follow_a_cubic_spline_everywhere(shared_data, tmp_path, mo
         raw = dataset.read(1).astype(np.float64)
     rng = np.random.default_rng(5)
     row, col = rng.uniform(5, 2554, 20_000), rng.uniform(5, 3066, 20_000)
-    lat, lon = mosaic.pyramids[0].source.place.latlon_from_pixel(col, row)
+    lat, lon = mosaic.pyramids[0].source.georeference.latlon_from_pixel(col, row)
     ours = mosaic.heights(lat, lon, mosaic.posting_m * 0.7)
     spline = map_coordinates(raw, [row, col], order=3)
     assert np.std(ours - spline) < 1.0

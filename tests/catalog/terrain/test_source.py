@@ -47,16 +47,16 @@ def test_real_files_put_each_pixel_where_gdal_puts_it(shared_data, moon, name, s
     rng = np.random.default_rng(1)
     row = rng.integers(0, source.shape[0], 200)
     col = rng.integers(0, source.shape[1], 200)
-    lat, lon = source.place.latlon_from_pixel(col, row)
+    lat, lon = source.georeference.latlon_from_pixel(col, row)
     found_col, found_row = source.pixel_from_latlon(lat, lon)
     # the ISIS cube's last column begins again at its first: whole turns do not count
-    period = source.place.period
+    period = source.georeference.period
     off = np.mod(found_col - col + period / 2.0, period) - period / 2.0
     assert np.abs(off).max() < 1e-6
     assert np.abs(found_row - row).max() < 1e-6
     with rasterio.open(path) as dataset:
         x, y = dataset.xy(row, col)
-    a, _, c, _, e, f = source.place.affine
+    a, _, c, _, e, f = source.georeference.affine
     np.testing.assert_allclose(x, c + a * (col + 0.5), rtol=1e-12, atol=1e-6)
     np.testing.assert_allclose(y, f + e * (row + 0.5), rtol=1e-12, atol=1e-6)
 
@@ -65,10 +65,10 @@ def test_heights_at_places_are_those_of_pixels_across_the_seam_and_nan_beyond_th
     whole = source_of(resource("data/moon_gld100_4ppd.tif"), moon)
     rows, cols = np.array([300, 300, 301, 360]), np.array([0, whole.shape[1] - 1, 1, 700])
     stored = whole.read_window(0, 0, *whole.shape)
-    lat, lon = whole.place.latlon_from_pixel(cols, rows)
+    lat, lon = whole.georeference.latlon_from_pixel(cols, rows)
     np.testing.assert_allclose(whole.heights_at(lat, lon), stored[rows, cols], atol=1e-2)
     # half a pixel beyond the last column lies the middle between the last and the first
-    lat, lon = whole.place.latlon_from_pixel(np.array([cols[1] + 0.5]), np.array([300.0]))
+    lat, lon = whole.georeference.latlon_from_pixel(np.array([cols[1] + 0.5]), np.array([300.0]))
     between = stored[300, [-2, -1, 0, 1]] @ np.array([-1.0, 9.0, 9.0, -1.0]) / 16.0
     assert whole.heights_at(lat, lon)[0] == pytest.approx(between, abs=0.1)
 
@@ -118,7 +118,7 @@ def test_registration_is_right_to_a_tenth_of_a_pixel(shared_data, moon, name):
     row = rng.integers(source.shape[0] // 6, 5 * source.shape[0] // 6, 6000)
     col = rng.integers(1, source.shape[1] - 2, 6000)
     heights = source.read_window(0, 0, *source.shape)[row, col]
-    lat, lon = source.place.latlon_from_pixel(col, row)
+    lat, lon = source.georeference.latlon_from_pixel(col, row)
     t_col, t_row = truth.pixel_from_latlon(lat, lon)
     ratio = source.posting_m / truth.posting_m
     # least squares for a shift (dx, dy) from the slopes of GLD100 itself

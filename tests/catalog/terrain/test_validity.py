@@ -56,7 +56,7 @@ def test_what_a_mask_hides_is_no_ground(tmp_path, dems, moon, how, dtype):
     expected[HOLE] = np.nan
     source = DemSource.open(DemSettings(path.name), tmp_path, moon)
     np.testing.assert_array_equal(source.read_window(0, 0, SIZE, SIZE), expected)
-    lat, lon = source.place.latlon_from_pixel([37.0, 5.0], [15.0, 40.0])
+    lat, lon = source.georeference.latlon_from_pixel([37.0, 5.0], [15.0, 40.0])
     assert np.isfinite(source.heights_at(lat, lon)).tolist() == [False, True]
 
     right = dems.write(tmp_path / "right.tif", expected, affine=affine)
