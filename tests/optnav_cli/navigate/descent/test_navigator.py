@@ -97,6 +97,14 @@ def flown(
     return fly
 
 
+@pytest.fixture(scope="module")
+def undisturbed(pictures: Path, catalog: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run of the pictures as they are."""
+    run = tmp_path_factory.mktemp("undisturbed") / "run"
+    navigate_folder(pictures, [catalog], run)
+    return run
+
+
 def change_rows(folder: Path, change: Callable[[int, dict[str, str]], None]) -> None:
     """Rewrite frames.csv, each row changed."""
     path = folder / "frames.csv"
@@ -110,14 +118,8 @@ def change_rows(folder: Path, change: Callable[[int, dict[str, str]], None]) -> 
         writer.writerows(rows)
 
 
-def as_it_is(folder: Path) -> None:
-    """Change nothing."""
-
-
-def test_a_descent_is_flown_by_windows_inside_its_sigmas(
-    flown: Callable[[Callable[[Path], None]], Path], pictures: Path
-) -> None:
-    run = flown(as_it_is)
+def test_a_descent_is_flown_by_windows_inside_its_sigmas(undisturbed: Path, pictures: Path) -> None:
+    run = undisturbed
     solutions = read_run(run).solutions
     assert [row.method for row in solutions] == [Method.DESCENT] * 4
     assert all(row.n_windows is not None and row.n_windows >= 4 for row in solutions)
@@ -300,10 +302,13 @@ def test_a_frame_that_shows_nothing_is_carried_by_the_track_and_says_so(
 
 
 def test_a_descent_that_was_stopped_goes_on_to_the_same_bytes(
-    pictures: Path, catalog: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    pictures: Path,
+    catalog: Path,
+    undisturbed: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    whole, again = tmp_path / "whole", tmp_path / "again"
-    navigate_folder(pictures, [catalog], whole)
+    whole, again = undisturbed, tmp_path / "again"
     finish, finished = FrameWorker.finish, []
 
     def counted(worker: FrameWorker, frame: Frame, *rest: Any) -> Any:
@@ -346,9 +351,10 @@ def test_a_camera_that_looks_at_the_sky_is_unsolved(
 
 
 def test_a_report_shows_a_descent_over_its_height(
-    flown: Callable[[Callable[[Path], None]], Path], pictures: Path, tmp_path: Path
+    undisturbed: Path, pictures: Path, tmp_path: Path
 ) -> None:
-    run = flown(as_it_is)
+    run = tmp_path / "run"
+    shutil.copytree(undisturbed, run)
     report(run, tmp_path / "stated.html")
     assert "Stated sigmas over the height" in (tmp_path / "stated.html").read_text()
     write_evaluation(evaluate(run, pictures / "truth.csv"), run)

@@ -32,13 +32,6 @@ def test_each_correction_and_the_arrival_have_a_row(folder: Path) -> None:
         assert bound > trials > 0.0
 
 
-def test_the_same_settings_give_the_same_bytes(folder: Path, tmp_path: Path) -> None:
-    settings = str(folder.parent / "delivery.toml")
-    assert run(["-q", "orbit", "delivery", settings, "-o", str(tmp_path / "again")]) == 0
-    for name in ("stages.csv", "boxes.csv", "arrivals.csv"):
-        assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
-
-
 def test_the_report_draws_the_b_plane(folder: Path, tmp_path: Path) -> None:
     assert run(["report", str(folder), "-o", str(tmp_path / "delivery.html")]) == 0
     page = (tmp_path / "delivery.html").read_text()

@@ -1,4 +1,4 @@
-"""Commands of orbits that are killed while they write: the same command again, as if not begun."""
+"""Commands of orbits, killed while they write: the same command again gives the same bytes."""
 
 import os
 import signal
@@ -38,7 +38,7 @@ LANDING = (
         ("delivery", ("orbit", "delivery"), "bundled:delivery_moon_optical"),
     ],
 )
-def test_a_killed_command_leaves_nothing_and_the_same_one_succeeds(
+def test_a_killed_command_leaves_nothing_and_the_same_one_gives_the_same_bytes(
     module, command, settings, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)

@@ -13,7 +13,7 @@ SETTINGS = """[landing]
 time = "2026-01-01T07:23:25Z"
 target_lat_deg = 0.0
 target_lon_deg = 90.0
-trials = 3
+trials = 2
 [beams]
 every_s = 60.0
 """
@@ -30,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_each_trial_has_its_row_in_order(folder: Path) -> None:
     rows = LANDING.rows(folder / "landing.csv")
-    assert [row["trial"] for row in rows] == ["1", "2", "3"]
+    assert [row["trial"] for row in rows] == ["1", "2"]
     for row in rows:
         assert row["status"] == "solved"
         down = row.number("down_m_s")
@@ -55,7 +55,7 @@ def test_the_report_draws_the_path_and_the_touchdowns(folder: Path, tmp_path: Pa
     assert run(["report", str(folder), "-o", str(tmp_path / "landing.html")]) == 0
     page = (tmp_path / "landing.html").read_text()
     assert page.count("<svg") == 3
-    assert "3 of 3" in page
+    assert "2 of 2" in page
     assert run(["report", str(folder), "-o", str(tmp_path / "landing.svg")]) == 0
     assert "touchdowns" in (tmp_path / "landing.svg").read_text()
 
@@ -63,8 +63,8 @@ def test_the_report_draws_the_path_and_the_touchdowns(folder: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ("old", "new", "code", "words"),
     [
-        ("trials = 3", "trials = 3\ncorrections_s = [2000.0]", 3, "before the arrival after 1800"),
-        ("trials = 3", "trials = 3\ncorrections_s = [900.0, 600.0]", 3, "wanted times in order"),
+        ("trials = 2", "trials = 2\ncorrections_s = [2000.0]", 3, "before the arrival after 1800"),
+        ("trials = 2", "trials = 2\ncorrections_s = [900.0, 600.0]", 3, "wanted times in order"),
         ("target_lat_deg = 0.0", "", 3, "needs the setting 'target_lat_deg'"),
         ("07:23:25Z", "25:00Z", 3, "landing.toml: [landing] time"),
         ("[beams]", "[departure]\nposition_m = [1.0, 2.0, 3.0]\n[beams]", 3, "give both"),

@@ -64,13 +64,6 @@ def test_the_ephemeris_message_holds_the_states_in_km(folder: Path) -> None:
     assert len(lines) - lines.index("META_STOP") - 2 == 2 * 144 + 1
 
 
-def test_the_same_settings_give_the_same_bytes(folder: Path, tmp_path: Path) -> None:
-    settings = folder.parent / "qso.toml"
-    assert run(["-q", "orbit", "qso", str(settings), "-o", str(tmp_path / "again")]) == 0
-    for name in ("qso.csv", "passes.csv", "paths.csv", "orbit_01.oem"):
-        assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
-
-
 def test_the_report_draws_the_rings(folder: Path, tmp_path: Path) -> None:
     assert run(["report", str(folder), "-o", str(tmp_path / "qso.html")]) == 0
     page = (tmp_path / "qso.html").read_text()
