@@ -35,13 +35,13 @@ STATE_COVARIANCE = tuple(_covariance_name(i, j) for i, j in LOWER)
 SIGMAS_OF_STATE = ("sigma_r_m", "sigma_n_m", "sigma_b_m")
 
 
-def _states(what: str, empty: bool = True) -> list[CsvColumn]:
+def _states(empty: bool = True) -> list[CsvColumn]:
     """Six columns each of a state: body-fixed, and inertial."""
     states = []
     for frame, names in (("body frame", BODY_STATE), ("inertial", INERTIAL)):
         for name in names:
             kind, unit = ("velocity", "m/s") if name.endswith("_s") else ("position", "m")
-            meaning = f"{kind} {what}, {frame}, {name.removeprefix('inertial_').lstrip('v')[0]}"
+            meaning = f"{kind}, {frame}, {name.removeprefix('inertial_').lstrip('v')[0]}"
             states.append(number(name, meaning, unit, "z.6f" if unit == "m/s" else "z.3f", empty))
     return states
 
@@ -53,12 +53,9 @@ ORBIT = CsvTable(
         UTC,
         text("kind", "fix, between or prediction"),
         *(_filled(name, f"position, body frame, {name[0]}", "m", "z.4f") for name in POSITION),
-        *(
-            _filled(name, f"velocity as the body frame sees it, {name[1]}", "m/s", "z.8f")
-            for name in VELOCITY
-        ),
-        *(_filled(name, "the same, ICRF axes", "m", "z.4f") for name in INERTIAL[:3]),
-        *(_filled(name, "the same, ICRF axes", "m/s", "z.8f") for name in INERTIAL[3:]),
+        *(_filled(name, f"velocity, body frame, {name[1]}", "m/s", "z.8f") for name in VELOCITY),
+        *(_filled(name, f"position, inertial, {name[9]}", "m", "z.4f") for name in INERTIAL[:3]),
+        *(_filled(name, f"velocity, inertial, {name[10]}", "m/s", "z.8f") for name in INERTIAL[3:]),
         *(
             _filled(name, "covariance along R, N, B of the inertial motion", "", ".9e")
             for name in STATE_COVARIANCE
@@ -71,31 +68,31 @@ ORBIT_RESIDUALS = CsvTable(
         *(FILE, UTC, CAMERA),
         text("run", "folder of the run"),
         *(
-            _filled(f"residual_{a}_m", f"fix less orbit, along {a.upper()}", "m", "z.4f")
+            _filled(f"residual_{a}_m", f"fix less orbit along {a.upper()}", "m", "z.4f")
             for a in AXES
         ),
         *(
             _filled(f"sigma_{a}_m", f"the fix's stated sigma along {a.upper()}", "m", "z.4f")
             for a in AXES
         ),
-        _filled("chi_square", "of the residual by its own covariance; 3 is expected", "", "z.4f"),
-        CsvColumn("used", "whether the orbit rests on it", "flag"),
-        text("reason", "why not", empty=True),
+        _filled("chi_square", "normalised residual squared; 3 is expected", "", "z.4f"),
+        CsvColumn("used", "whether the solution uses it", "flag"),
+        text("reason", "why not used", empty=True),
     )
 )
 
 _SIGHT = (
-    text("utc", "time of the sight, UTC, with as many digits as it is known to"),
+    text("utc", "time of the measurement, UTC"),
     text("type", "star_zenith"),
-    _filled("ra_deg", "right ascension of the star, ICRS, proper motion in it", "deg", "z.6f"),
+    _filled("ra_deg", "right ascension of the star at that time, ICRS", "deg", "z.6f"),
     _filled("dec_deg", "declination of the star", "deg", "z.6f"),
     _filled(
         "value_deg",
-        "angle between the craft's place from the body's centre and the star, without aberration",
+        "zenith distance: angle from the craft's position vector to the star, without aberration",
         "deg",
         "z.8f",
     ),
-    _filled("sigma_arcsec", "1 sigma of it", "arcsec", ".6g"),
+    _filled("sigma_arcsec", "1 sigma", "arcsec", ".6g"),
 )
 
 ZENITH = CsvTable(_SIGHT)
@@ -103,26 +100,29 @@ ZENITH = CsvTable(_SIGHT)
 ZENITH_RESIDUALS = CsvTable(
     (
         _SIGHT[0],
-        text("star", "its name, or its number in the Hipparcos catalogue"),
-        _filled("value_deg", "the zenith distance measured", "deg", "z.8f"),
+        text("star", "name or Hipparcos number"),
+        _filled("value_deg", "measured zenith distance", "deg", "z.8f"),
         _filled("residual_arcsec", "measured less that of the orbit", "arcsec", "z.4f"),
-        _filled("sigma_arcsec", "1 sigma as stated", "arcsec", ".6g"),
-        _filled("chi_square", "of the residual by its own covariance; 1 is expected", "", "z.4f"),
-        CsvColumn("used", "whether the orbit rests on it", "flag"),
-        text("reason", "why not", empty=True),
+        _filled("sigma_arcsec", "1 sigma", "arcsec", ".6g"),
+        _filled("chi_square", "normalised residual squared; 1 is expected", "", "z.4f"),
+        CsvColumn("used", "whether the solution uses it", "flag"),
+        text("reason", "why not used", empty=True),
     )
 )
 
 DISTURBANCES = CsvTable(
     (
         text("from_utc", "start of the interval"),
-        text("to_utc", "its end, to which the disturbance belongs"),
+        text("to_utc", "end of the interval"),
         *(
-            _filled(f"moved_{a}_m", f"what the forces left out moved, {a.upper()}", "m", "z.6f")
+            _filled(f"moved_{a}_m", f"displacement by unmodelled forces, {a.upper()}", "m", "z.6f")
             for a in AXES
         ),
-        *(_filled(f"moved_v{a}_m_s", f"and sped up, {a.upper()}", "m/s", "z.9f") for a in AXES),
-        _filled("sigma_m_s2", "of the acceleration that they were expected to be", "m/s²", ".6g"),
+        *(
+            _filled(f"moved_v{a}_m_s", f"velocity change by them, {a.upper()}", "m/s", "z.9f")
+            for a in AXES
+        ),
+        _filled("sigma_m_s2", "expected 1 sigma of their acceleration", "m/s²", ".6g"),
     )
 )
 
@@ -131,45 +131,49 @@ ORBIT_ERRORS = CsvTable(
         UTC,
         _filled("hours", "since the last fix; above 0: a prediction", "h", "z.6f"),
         *(_filled(f"error_{a}_m", f"orbit less truth, {a.upper()}", "m", "z.4f") for a in AXES),
-        *(_filled(f"sigma_{a}_m", "its stated sigma", "m", "z.4f") for a in AXES),
+        *(_filled(f"sigma_{a}_m", "stated sigma", "m", "z.4f") for a in AXES),
         *(
-            _filled(f"error_v{a}_m_s", f"of the velocity, {a.upper()}", "m/s", "z.7f", empty=True)
+            _filled(
+                f"error_v{a}_m_s", f"velocity less truth, {a.upper()}", "m/s", "z.7f", empty=True
+            )
             for a in AXES
         ),
-        *(_filled(f"sigma_v{a}_m_s", "its stated sigma", "m/s", "z.7f") for a in AXES),
-        _filled("normalised_error_squared", "of the place, a component; 1 is expected", "", "z.6f"),
+        *(_filled(f"sigma_v{a}_m_s", "stated sigma of the velocity", "m/s", "z.7f") for a in AXES),
+        _filled(
+            "normalised_error_squared", "of the position per component; 1 is expected", "", "z.6f"
+        ),
     )
 )
 
 PICTURE_TIMES = CsvTable(
     (
         FILE,
-        text("utc_stamp", "time of the picture as its run states it, UTC"),
-        text("utc", "when the orbit passes its position, nearest to the stamp", empty=True),
-        _filled("sigma_s", "1 sigma of that time", "s", ".6f", empty=True),
-        text("candidates", "all passes within 3 sigmas, with semicolons between", empty=True),
+        text("utc_stamp", "stated time of the picture, UTC"),
+        text("utc", "time at which the orbit passes the fix", empty=True),
+        _filled("sigma_s", "1 sigma of `utc`", "s", ".6f", empty=True),
+        text("candidates", "all passes within 3 sigmas, separated by semicolons", empty=True),
     )
 )
 
 QSO = CsvTable(
     (
-        count("orbit", "number of the orbit, from 1; its file is orbit_NUMBER.oem", empty=False),
-        number("distance_km", "asked for, from the surface", "km", ".6g", empty=False),
-        number("longitude_deg", "of the passes, east", "deg", ".6g", empty=False),
-        text("utc", "of the start"),
-        number("anomaly_deg", "mean anomaly of the moon then", "deg", "z.3f", empty=False),
-        *(STATUS, *_states("at the start")),
-        number("radius_km", "of the start, from the centre", "km", "z.4f"),
+        count("orbit", "number of the orbit", empty=False),
+        number("distance_km", "requested distance from the surface", "km", ".6g", empty=False),
+        number("longitude_deg", "east longitude of the passes", "deg", ".6g", empty=False),
+        text("utc", "time of the start, UTC"),
+        number("anomaly_deg", "mean anomaly of the moon at the start", "deg", "z.3f", empty=False),
+        *(STATUS, *_states()),
+        number("radius_km", "distance of the start from the centre", "km", "z.4f"),
         number("spread_km", "largest difference of a pass from the start", "km", "z.4f"),
         number("ring_km", "distance of the farthest pass less the nearest", "km", "z.4f"),
-        number("theory_spread_km", "the first of these of the averaged theory's", "km", "z.4f"),
-        number("rate", "revolutions a revolution of the moon, less 1, mean", "", "z.5f"),
-        number("rate_min", "of the slowest revolution", "", "z.5f"),
-        number("rate_max", "of the quickest", "", "z.5f"),
-        number("theory_rate", "by the averaged theory", "", "z.5f"),
-        number("theory_dv_m_s", "velocity of the start less that of the theory", "m/s", "z.4f"),
-        count("passes", "of the longitude, the start among them"),
-        count("trials", "flights that the search took"),
+        number("theory_spread_km", "`spread_km` of the averaged theory", "km", "z.4f"),
+        number("rate", "mean revolutions per revolution of the moon, less 1", "", "z.5f"),
+        number("rate_min", "`rate` of the slowest revolution", "", "z.5f"),
+        number("rate_max", "`rate` of the fastest revolution", "", "z.5f"),
+        number("theory_rate", "`rate` of the averaged theory", "", "z.5f"),
+        number("theory_dv_m_s", "start velocity less that of the theory", "m/s", "z.4f"),
+        count("passes", "passes of the longitude, with the start"),
+        count("trials", "trajectories computed"),
         REASON,
     )
 )
@@ -178,21 +182,21 @@ QSO_PASSES = CsvTable(
     (
         count("orbit", "number of the orbit", empty=False),
         count("pass", "number of the pass; 0 is the start", empty=False),
-        text("utc", "of the pass"),
-        number("distance_km", "from the surface over the longitude", "km", "z.4f", empty=False),
-        number("rate", "of the revolution before it, less 1", "", "z.5f"),
-        *_states("then", empty=False),
+        text("utc", "time of the pass, UTC"),
+        number("distance_km", "distance from the surface", "km", "z.4f", empty=False),
+        number("rate", "`rate` of the revolution before", "", "z.5f"),
+        *_states(empty=False),
     )
 )
 
 QSO_PATHS = CsvTable(
     (
         count("orbit", "number of the orbit", empty=False),
-        text("kind", "orbit, or theory: from the first velocity of the averaged theory"),
+        text("kind", "orbit, or theory (start velocity of the averaged theory)"),
         number("seconds", "since the start", "s", ".6g", empty=False),
-        number("x_km", "turning frame: away from the planet", "km", "z.3f", empty=False),
-        number("y_km", "the same: along the moon's motion", "km", "z.3f", empty=False),
-        number("z_km", "the same: up", "km", "z.3f", empty=False),
+        number("x_km", "away from the planet, rotating frame", "km", "z.3f", empty=False),
+        number("y_km", "along the moon's motion", "km", "z.3f", empty=False),
+        number("z_km", "along the orbit normal", "km", "z.3f", empty=False),
     )
 )
 
@@ -200,36 +204,34 @@ LANDING = CsvTable(
     (
         count("trial", "number of the trial, from 1", empty=False),
         STATUS,
-        number("arrival_error_m", "of the navigation at the arrival over the target", "m", "z.3f"),
-        number("arrival_sigma_m", "its stated 1 sigma, a length", "m", "z.3f"),
-        number("arrival_error_m_s", "of the velocity then", "m/s", "z.5f"),
-        number("arrival_nees", "errors squared over their covariance, over 6", "", "z.3f"),
-        count("steps", "of the fit that took most"),
-        count("starts", "of that fit: more than one after a wrong minimum"),
-        number(
-            "end_height_error_m", "of the navigation at the altimeter's last height", "m", "z.3f"
-        ),
-        number("end_side_error_m", "the same, across", "m", "z.3f"),
-        number("end_down_error_m_s", "the same, velocity along up", "m/s", "z.5f"),
-        number("end_side_error_m_s", "the same, velocity across", "m/s", "z.5f"),
-        number("end_nees", "the same, errors squared over their covariance, over 6", "", "z.3f"),
+        number("arrival_error_m", "position error at the arrival over the target", "m", "z.3f"),
+        number("arrival_sigma_m", "its stated 1 sigma", "m", "z.3f"),
+        number("arrival_error_m_s", "velocity error at the arrival", "m/s", "z.5f"),
+        number("arrival_nees", "NEES of the state at the arrival", "", "z.3f"),
+        count("steps", "iterations of the longest fit"),
+        count("starts", "starts of that fit; over 1 after a wrong minimum"),
+        number("end_height_error_m", "height error at the last altimeter height", "m", "z.3f"),
+        number("end_side_error_m", "horizontal error there", "m", "z.3f"),
+        number("end_down_error_m_s", "vertical velocity error there", "m/s", "z.5f"),
+        number("end_side_error_m_s", "horizontal velocity error there", "m/s", "z.5f"),
+        number("end_nees", "NEES of the state there", "", "z.3f"),
         number("east_m", "touchdown, east of the target", "m", "z.3f"),
-        number("north_m", "touchdown, north of it", "m", "z.3f"),
-        number("down_m_s", "velocity down at the touchdown", "m/s", "z.4f"),
-        number("side_m_s", "velocity across then", "m/s", "z.4f"),
-        number("dv_m_s", "of all burns, without what holds the craft up", "m/s", "z.3f"),
+        number("north_m", "touchdown, north of the target", "m", "z.3f"),
+        number("down_m_s", "vertical velocity at touchdown, down", "m/s", "z.4f"),
+        number("side_m_s", "horizontal velocity at touchdown", "m/s", "z.4f"),
+        number("dv_m_s", "velocity change of all burns, without hovering", "m/s", "z.3f"),
         REASON,
     )
 )
 
 LANDING_IMPULSE = CsvTable(
     (
-        count("step", "of Newton's method", empty=False),
+        count("step", "iteration of Newton's method", empty=False),
         *(
-            number(f"dv_{i}_m_s", f"its change of the impulse, inertial, {i}", "m/s", ".9g")
+            number(f"dv_{i}_m_s", f"change of the impulse, inertial, {i}", "m/s", ".9g")
             for i in "xyz"
         ),
-        number("left_m_s", "of the impulse still to find after it", "m/s", ".6g", empty=False),
+        number("left_m_s", "remaining error of the impulse", "m/s", ".6g", empty=False),
     )
 )
 
@@ -237,9 +239,9 @@ LANDING_PATH = CsvTable(
     (
         text("kind", "transfer, descent (of the first trial), ground, or beam (two rows each)"),
         number("seconds", "since the departure", "s", ".6g"),
-        number("along_km", "level, towards the target in the plane of the transfer", "km", "z.5f"),
-        number("up_km", "over the target", "km", "z.5f"),
-        number("side_km", "across that plane", "km", "z.5f"),
+        number("along_km", "horizontal, towards the target in the transfer plane", "km", "z.5f"),
+        number("up_km", "height over the target", "km", "z.5f"),
+        number("side_km", "across the transfer plane", "km", "z.5f"),
     )
 )
 
@@ -249,30 +251,30 @@ DELIVERY_STAGES = CsvTable(
     (
         text("stage", "injection, correction NUMBER, or arrival: the errors before it"),
         number("day", "since the start", "d", ".6g", empty=False),
-        number("condition", "of what velocity does to the arrival", "", ".4g"),
-        *(number(f"bound_{i}", f"largest {w} by the boxes", u, ".6g") for i, w, u in _AIM),
+        number("condition", "condition number of the matrix from velocity to arrival", "", ".4g"),
+        *(number(f"bound_{i}", f"bound of {w} by the boxes", u, ".6g") for i, w, u in _AIM),
         *(number(f"trials_{i}", f"99.73 % of the trials' {w}", u, ".6g") for i, w, u in _AIM),
-        *(number(f"navigation_{i}", f"1 sigma of {w} then", u, ".6g") for i, w, u in _AIM),
-        number("bound_dv_m_s", "largest change of velocity of the correction", "m/s", ".6g"),
-        number("trials_dv_m_s", "99.73 % of the trials'", "m/s", ".6g"),
-        number("largest_dv_m_s", "the largest trial's", "m/s", ".6g"),
-        count("boxes", "that hold the errors"),
+        *(number(f"navigation_{i}", f"navigation's 1 sigma of {w}", u, ".6g") for i, w, u in _AIM),
+        number("bound_dv_m_s", "bound of the correction", "m/s", ".6g"),
+        number("trials_dv_m_s", "99.73 % of the trials' correction", "m/s", ".6g"),
+        number("largest_dv_m_s", "largest correction of the trials", "m/s", ".6g"),
+        count("boxes", "number of boxes"),
     )
 )
 
 DELIVERY_BOXES = CsvTable(
     (
-        text("stage", "of stages.csv"),
-        *(number(f"{i}_from", f"{w}: the box's lower side", u, ".6g") for i, w, u in _AIM),
-        *(number(f"{i}_to", f"{w}: its upper side", u, ".6g") for i, w, u in _AIM),
-        number("spent_m_s", "the most that leads there", "m/s", ".6g", empty=False),
+        text("stage", "stage of stages.csv"),
+        *(number(f"{i}_from", f"lower side of the box in {w}", u, ".6g") for i, w, u in _AIM),
+        *(number(f"{i}_to", f"upper side of the box in {w}", u, ".6g") for i, w, u in _AIM),
+        number("spent_m_s", "largest total velocity change", "m/s", ".6g", empty=False),
     )
 )
 
 DELIVERY_ARRIVALS = CsvTable(
     (
-        count("trial", "number of the trial, from 1; the first ones", empty=False),
-        *(number(i, f"{w} less the aim's", u, ".6g", empty=False) for i, w, u in _AIM),
-        number("dv_m_s", "of all corrections", "m/s", ".6g", empty=False),
+        count("trial", "number of the trial, from 1", empty=False),
+        *(number(i, f"{w} less the aim", u, ".6g", empty=False) for i, w, u in _AIM),
+        number("dv_m_s", "velocity change of all corrections", "m/s", ".6g", empty=False),
     )
 )

@@ -51,14 +51,12 @@ FILE = text("file", "name of the picture, relative to the picture folder")
 UTC = text("utc", "time of the picture, UTC, as 2023-08-17T05:23:10.250Z")
 CAMERA = text("camera", "name of the camera, that of a file in cameras/")
 PREDICTED = count("n_predicted", "control points expected in view, lit, unhidden, inside")
-MATCHED = count("n_matched", "of these, found: the matcher accepts a place")
-USED = count("n_used", "of these, kept by the solution")
+MATCHED = count("n_matched", "of these, matched")
+USED = count("n_used", "of these, used by the solution")
 STATUS = text("status", "solved or unsolved")
-METHOD = text("method", "how the frame was solved, or how far it got", empty=True)
+METHOD = text("method", "method that solved the frame, or the last one tried", empty=True)
 REASON = text("reason", "why a frame is unsolved, or a remark", empty=True)
-REASON_CODE = CsvColumn(
-    "reason_code", "the code of that reason, for programs", "text", empty=True, newer=True
-)
+REASON_CODE = CsvColumn("reason_code", "code of that reason", "text", empty=True, newer=True)
 
 # Of frames.csv and solution.csv, where people add it.
 UTC_SIGMA = replace(number("utc_sigma_s", "1 sigma of utc", "s", ".6g"), newer=True)
@@ -102,7 +100,7 @@ ATTITUDES = CsvTable(
     (
         *(FILE, text("utc", UTC.meaning, empty=True), STATUS),
         *(
-            number(name, f"camera_from_inertial as a quaternion, {name[1]}", "", "z.15f")
+            number(name, f"quaternion camera_from_inertial, {name[1]}", "", "z.15f")
             for name in QUATERNION
         ),
         *(
@@ -110,11 +108,11 @@ ATTITUDES = CsvTable(
             for i in "xyz"
         ),
         count("n_spots", "spots of light in the picture"),
-        count("n_matched", "of these, with a star of the catalog"),
-        count("n_used", "of these, kept by the attitude"),
-        number("residual_rms_px", "rms of their residuals, a coordinate", "px", "z.5f"),
-        number("focal_scale", "focal length over that of the camera file", "", "z.7f"),
-        number("chance", "expected number of attitudes that chance gives so well", "", ".3g"),
+        count("n_matched", "spots matched to a star"),
+        count("n_used", "matched spots used"),
+        number("residual_rms_px", "rms of the residuals, per coordinate", "px", "z.5f"),
+        number("focal_scale", "focal length over the stated one", "", "z.7f"),
+        number("chance", "expected number of chance attitudes as good", "", ".3g"),
         REASON,
     )
 )
@@ -154,26 +152,26 @@ SOLUTION = CsvTable(
             number(name, f"covariance of the position, {name[4:6]}", "m²", ".9e")
             for name in COVARIANCE
         ),
-        *_quaternion("attitude used or solved for", "z.15f"),
-        number("attitude_sigma_arcsec", "its 1 sigma an axis; 0: exact", "arcsec", "z.6f"),
-        number("lat_deg", "latitude below the camera, planetocentric", "deg", "z.9f"),
-        number("lon_deg", "longitude below the camera, -180 to 180, east positive", "deg", "z.9f"),
-        number("height_m", "height above the body's reference sphere", "m", "z.4f"),
+        *_quaternion("attitude, stated or solved", "z.15f"),
+        number("attitude_sigma_arcsec", "1 sigma per axis; 0: exact", "arcsec", "z.6f"),
+        number("lat_deg", "planetocentric latitude", "deg", "z.9f"),
+        number("lon_deg", "longitude, -180 to 180, east positive", "deg", "z.9f"),
+        number("height_m", "height above the reference sphere", "m", "z.4f"),
         *(PREDICTED, MATCHED, USED),
-        number("residual_rms_px", "rms of the residuals, a coordinate", "px", "z.5f"),
+        number("residual_rms_px", "rms of the residuals, per coordinate", "px", "z.5f"),
         text(
             "prior",
-            "where the search began: frames.csv, orbit, a method, camera or arc",
+            "source of the prior: frames.csv, orbit, a method, camera or arc",
             empty=True,
         ),
-        count("n_limb", "limb points that the solution rests on"),
-        number("arc_deg", "of the limb that they cover, about the nadir", "deg", "z.2f"),
+        count("n_limb", "limb points used"),
+        number("arc_deg", "their extent about the nadir", "deg", "z.2f"),
         *(REASON, REASON_CODE),
-        count("n_windows", "windows of the terrain model that a descent keeps", newer=True),
-        count("n_landmarks", "landmarks that it keeps", newer=True),
+        count("n_windows", "terrain windows used in a descent", newer=True),
+        count("n_landmarks", "landmarks used in a descent", newer=True),
         CsvColumn(
             "attitude_source",
-            "what the attitude is from: frames.csv, stars, or points",
+            "source of the attitude: frames.csv, stars or points",
             "text",
             empty=True,
             newer=True,
@@ -184,7 +182,7 @@ SOLUTION = CsvTable(
 # Further columns of solution.csv: of a run whose body is a spheroid; whose lens is estimated.
 SOLUTION_SPHEROID = CsvTable(
     (
-        number("lat_geodetic_deg", "geodetic latitude below the camera", "deg", "z.9f", newer=True),
+        number("lat_geodetic_deg", "geodetic latitude", "deg", "z.9f", newer=True),
         number("height_ellipsoid_m", "height above the body's ellipsoid", "m", "z.4f", newer=True),
     )
 )
@@ -192,32 +190,32 @@ LENS_SHIFT = ("principal_shift_x_px", "principal_shift_y_px")
 LENS_SHIFT_SIGMA = ("principal_shift_sigma_x_px", "principal_shift_sigma_y_px")
 SOLUTION_LENS = CsvTable(
     (
-        number("focal_scale", "focal length over that of the camera file", "", "z.7f", newer=True),
-        number("focal_scale_sigma", "its 1 sigma, with the stated one", "", "z.7f", newer=True),
-        *_pixel("principal_shift", "principal point less that of the camera file", newer=True),
-        *_pixel("principal_shift_sigma", "its 1 sigma, with the stated one", newer=True),
+        number("focal_scale", "focal length over the stated one", "", "z.7f", newer=True),
+        number("focal_scale_sigma", "its 1 sigma", "", "z.7f", newer=True),
+        *_pixel("principal_shift", "principal point less the stated one", newer=True),
+        *_pixel("principal_shift_sigma", "its 1 sigma", newer=True),
     )
 )
 
 MATCHES = CsvTable(
     (
         FILE,
-        text("catalog", "file name of the control point's catalog", empty=True),
-        text("id", "the control point's id in its catalog, or a picked point's name"),
+        text("catalog", "file name of the catalog", empty=True),
+        text("id", "id in the catalog, or a picked point's name"),
         count("level", "pyramid level of the last match, 0 is the finest", empty=False),
-        number("lat_deg", "the point's latitude, planetocentric", "deg", "z.9f", empty=False),
-        number("lon_deg", "its longitude, -180 to 180, east positive", "deg", "z.9f", empty=False),
-        number("radius_m", "its distance from the body's centre", "m", "z.4f", empty=False),
-        *_pixel("predicted", "where the final pose predicts it", empty=False),
-        *_pixel("measured", "where it was found; empty where it was not"),
+        number("lat_deg", "planetocentric latitude", "deg", "z.9f", empty=False),
+        number("lon_deg", "longitude, -180 to 180, east positive", "deg", "z.9f", empty=False),
+        number("radius_m", "distance from the body's centre", "m", "z.4f", empty=False),
+        *_pixel("predicted", "predicted from the final pose", empty=False),
+        *_pixel("measured", "position of the match"),
         number("score", "correlation of the best match", "", "z.5f"),
         number("runner_up", "correlation of the best rival", "", "z.5f"),
-        number("sun_elevation_deg", "the Sun above the point's horizon", "deg", "z.4f"),
+        number("sun_elevation_deg", "Sun elevation at the point", "deg", "z.4f"),
         *_pixel("residual", "measured less predicted, after the solution"),
-        CsvColumn("used", "whether the solution keeps it", "flag"),
-        text("reason", "why not", empty=True),
+        CsvColumn("used", "whether the solution uses it", "flag"),
+        text("reason", "why not used", empty=True),
         REASON_CODE,
-        *_pixel("prior", "where the pose predicted it from which the search began", newer=True),
+        *_pixel("prior", "predicted from the prior", newer=True),
         CsvColumn(
             "kind",
             "control_point, window, landmark or picked_point; empty: control_point",
@@ -231,15 +229,15 @@ MATCHES = CsvTable(
 GROUND_COVARIANCE = ("cov_ee_m2", "cov_en_m2", "cov_eu_m2", "cov_nn_m2", "cov_nu_m2", "cov_uu_m2")
 LANDMARKS = CsvTable(
     (
-        count("id", "the landmark's number", empty=False),
-        text("first_file", "the picture in which it was chosen"),
-        text("last_file", "the last one in which it was found"),
-        count("n_seen", "pictures in which it was found, the first one too", empty=False),
-        number("lat_deg", "its latitude, planetocentric", "deg", "z.9f", empty=False),
-        number("lon_deg", "its longitude, -180 to 180, east positive", "deg", "z.9f", empty=False),
-        number("radius_m", "its distance from the body's centre", "m", "z.4f", empty=False),
+        count("id", "number of the landmark", empty=False),
+        text("first_file", "first picture"),
+        text("last_file", "last picture"),
+        count("n_seen", "pictures that show it", empty=False),
+        number("lat_deg", "planetocentric latitude", "deg", "z.9f", empty=False),
+        number("lon_deg", "longitude, -180 to 180, east positive", "deg", "z.9f", empty=False),
+        number("radius_m", "distance from the body's centre", "m", "z.4f", empty=False),
         *(
-            number(name, f"covariance at its end, {name[4:6]}: east, north, up", "m²", ".9e", False)
+            number(name, f"last covariance (east, north, up), {name[4:6]}", "m²", ".9e", False)
             for name in GROUND_COVARIANCE
         ),
         text("status", "tracked to the end, or retired"),
@@ -272,17 +270,25 @@ COMMON_NUMBERS = CsvTable(
 EVALUATION = CsvTable(
     (
         *(FILE, UTC, STATUS, METHOD),
-        text("camera", "name of the camera, where it is known", empty=True),
-        text("forward", "what the axis N rests on: motion, or local north"),
+        text("camera", "name of the camera, if known", empty=True),
+        text("forward", "definition of the axis N: motion, or local north"),
         number("truth_height_m", "true height above the reference sphere", "m", "z.3f"),
-        *(number(name, f"error along {name[6].upper()}", "m", "z.3f") for name in ERRORS),
+        *(
+            number(name, f"solution less truth along {name[6].upper()}", "m", "z.3f")
+            for name in ERRORS
+        ),
         *(number(name, f"stated sigma along {name[6].upper()}", "m", "z.3f") for name in SIGMAS),
-        number("range_error_percent", "error along R, of the true height", "%", "z.6f"),
+        number("range_error_percent", "error along R, share of the true height", "%", "z.6f"),
         number("range_sigma_percent", "its stated sigma", "%", "z.6f"),
         number("direction_error_arcsec", "error of the direction to the centre", "arcsec", "z.4f"),
         number("direction_sigma_arcsec", "its stated rms", "arcsec", "z.4f"),
-        number("normalised_error_squared", "over its covariance; 3 is expected", "", "z.6f"),
-        number("attitude_error_arcsec", "angle of the attitude's error", "arcsec", "z.4f"),
+        number(
+            "normalised_error_squared",
+            "error squared over its covariance; 3 is expected",
+            "",
+            "z.6f",
+        ),
+        number("attitude_error_arcsec", "rotation angle of the attitude error", "arcsec", "z.4f"),
         *(PREDICTED, MATCHED, USED),
         count("n_wrong", "of these, more than 3 px from the truth"),
         *(REASON, REASON_CODE),
@@ -291,16 +297,16 @@ EVALUATION = CsvTable(
 
 HEIGHTS = CsvTable(
     (
-        text("file_left", "picture of the camera of the first [[mount]]", empty=True),
-        text("file_right", "picture of that of the second", empty=True),
+        text("file_left", "picture of the first [[mount]]", empty=True),
+        text("file_right", "picture of the second [[mount]]", empty=True),
         UTC,
-        number("height_m", "of the ship over the mean ground below it", "m", "z.4f"),
-        number("sigma_m", "its 1 sigma by the windows: noise, and relief", "m", "z.5f"),
-        number("sigma_mounting_m", "what the mounting's error adds, in all rows", "m", "z.5f"),
-        count("n_windows", "windows that the height rests on; they overlap"),
-        number("velocity_x_m_s", "against the pair before, ship frame, x", "m/s", "z.5f"),
-        number("velocity_y_m_s", "the same, y", "m/s", "z.5f"),
-        number("velocity_sigma_m_s", "1 sigma of these, a component", "m/s", "z.5f"),
+        number("height_m", "height of the ship over the mean ground", "m", "z.4f"),
+        number("sigma_m", "1 sigma from noise and relief", "m", "z.5f"),
+        number("sigma_mounting_m", "1 sigma from the mounting, common to all rows", "m", "z.5f"),
+        count("n_windows", "windows used; they overlap"),
+        number("velocity_x_m_s", "velocity since the previous pair, ship frame, x", "m/s", "z.5f"),
+        number("velocity_y_m_s", "velocity since the previous pair, ship frame, y", "m/s", "z.5f"),
+        number("velocity_sigma_m_s", "1 sigma of the velocity per component", "m/s", "z.5f"),
         *(STATUS, REASON),
     )
 )
@@ -310,8 +316,8 @@ JUDGED_PADS = CsvTable(
         FILE,
         count("square_row", "row of the square, from the upper left", empty=False),
         count("square_col", "column of the square", empty=False),
-        number("lat_deg", "the pad's latitude, planetocentric", "deg", "z.9f", empty=False),
-        number("lon_deg", "its longitude, -180 to 180, east positive", "deg", "z.9f", empty=False),
+        number("lat_deg", "planetocentric latitude", "deg", "z.9f", empty=False),
+        number("lon_deg", "longitude, -180 to 180, east positive", "deg", "z.9f", empty=False),
         number("expected_dangerous_share", "expected share above 7 deg", "", "z.5f"),
         number("dangerous_share", "its share above 7 deg, by the truth", "", "z.5f", empty=False),
         number("critical_share", "its share above 15 deg", "", "z.5f", empty=False),
@@ -322,24 +328,24 @@ JUDGED_PADS = CsvTable(
 PADS = CsvTable(
     (
         FILE,
-        count("square_row", "row of the square, from the upper left; empty: no squares"),
+        count("square_row", "row of the square from the upper left"),
         count("square_col", "column of the square"),
-        *(
-            number(f"{axis}_px", f"the pad's middle in the picture, {axis}", "px", "z.3f")
-            for axis in "xy"
-        ),
-        number("lat_deg", "its latitude, planetocentric; empty without a pose", "deg", "z.9f"),
-        number("lon_deg", "its longitude, -180 to 180, east positive", "deg", "z.9f"),
+        *(number(f"{axis}_px", f"centre of the pad, {axis}", "px", "z.3f") for axis in "xy"),
+        number("lat_deg", "planetocentric latitude", "deg", "z.9f"),
+        number("lon_deg", "longitude, -180 to 180, east positive", "deg", "z.9f"),
         number("expected_dangerous_share", "expected share above 7 deg", "", "z.5f"),
         number("expected_critical_share", "expected share above 15 deg", "", "z.5f"),
         number("shadow_share", "share in shadow", "", "z.5f"),
         number("mean_slope_deg", "mean slope", "deg", "z.3f"),
         number("prior_slope_deg", "mean slope by --slopes", "deg", "z.3f"),
         *(
-            number(f"dir_camera_{i}", f"direction to it, camera frame, {i}", "", "z.9f")
+            number(f"dir_camera_{i}", f"direction to the pad, camera frame, {i}", "", "z.9f")
             for i in "xyz"
         ),
-        *(number(f"dir_body_{i}", f"the same, body frame, {i}", "", "z.9f") for i in "xyz"),
+        *(
+            number(f"dir_body_{i}", f"direction to the pad, body frame, {i}", "", "z.9f")
+            for i in "xyz"
+        ),
         text("reason", "why the square has no pad", empty=True),
     )
 )
@@ -347,11 +353,11 @@ PADS = CsvTable(
 CALIBRATION_RESIDUALS = CsvTable(
     (
         *(FILE, CAMERA),
-        text("catalog", "file name of the control point's catalog", empty=True),
-        count("id", "the control point's id in its catalog", empty=False),
-        *_pixel("measured", "where it was found"),
-        *_pixel("before", "measured less predicted, all as stated"),
-        *_pixel("after", "the same after the calibration"),
+        text("catalog", "file name of the catalog", empty=True),
+        count("id", "id in the catalog", empty=False),
+        *_pixel("measured", "position of the match"),
+        *_pixel("before", "measured less predicted, as stated"),
+        *_pixel("after", "measured less predicted, calibrated"),
         number("weight", "of the match, 0 to 1", "", "z.4f"),
     )
 )
@@ -360,14 +366,18 @@ CYLINDER = CsvTable(
     (
         *(FILE, UTC, STATUS),
         text("zone", "ok, full_face, crescent, glare or cut", empty=True),
-        number("d_m", "from the camera to the cylinder's nearest surface", "m", "z.5f"),
+        number("d_m", "distance to the nearest surface", "m", "z.5f"),
         number("d_sigma_m", "its 1 sigma", "m", "z.5f"),
-        number("theta_deg", "of the light at the axis from the camera; right: +", "deg", "z.4f"),
+        number(
+            "theta_deg", "light angle at the axis from the camera, positive right", "deg", "z.4f"
+        ),
         number("theta_sigma_deg", "its 1 sigma", "deg", "z.4f"),
-        number("bearing_deg", "of the axis from the boresight, to the right", "deg", "z.4f"),
-        number("vx_m_s", "velocity of the camera to the light", "m/s", "z.5f"),
-        number("vy_m_s", "across, to where theta grows", "m/s", "z.5f"),
-        number("v_sigma_m_s", "1 sigma of these, a component", "m/s", "z.5f"),
+        number(
+            "bearing_deg", "bearing of the axis from the boresight, positive right", "deg", "z.4f"
+        ),
+        number("vx_m_s", "velocity of the camera towards the light", "m/s", "z.5f"),
+        number("vy_m_s", "velocity across, towards growing theta", "m/s", "z.5f"),
+        number("v_sigma_m_s", "1 sigma of the velocity per component", "m/s", "z.5f"),
         REASON,
     )
 )

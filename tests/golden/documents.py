@@ -7,21 +7,20 @@
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import groupby
 from pathlib import Path
 
 import click
 
 from catalog.tables import CsvColumn, CsvTable
-from optnav_cli.commands.config import first_sentence
 from optnav_cli.frames import orbit_tables
 from optnav_cli.frames import tables as csv_columns
 from optnav_cli.main import COMMANDS, cli
 from optnav_cli.reasons import ReasonCode
 from tests.golden.headlines import HEADLINES
 from tests.studies.registry import STUDIES
-from tests.studies.stored import format_report, list_stored, read_report, read_stored
+from tests.studies.stored import list_stored, read_report, read_stored
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 CONFIGS = CHECKOUT / "configs"
@@ -105,14 +104,57 @@ TABLES = {
     "delivery_boxes": "boxes.csv",
     "delivery_arrivals": "arrivals.csv",
 }
-MIN_COMMON_TABLES = 3  # tables that a column stands in to be explained once for all
 MAX_NAMES = 6  # of merged columns that are all written out
+UNIT_IN_NAME = re.compile(r"_(?:k?m|m2|px|deg|arcsec|s|m_s|m_s2|percent)$")
+# The axis in what a column holds, as ", x" or " along R"; columns that differ in it share a row.
+AXIS = re.compile(r"(?:,| along| about the camera's) (?:[A-Za-z]|[a-z]{2})(?=$|[;:])")
+# Headline rows of the benches; their other rows stand in tests/bench/figures alone.
+BENCH_ROWS = {
+    "bench": (
+        "a frame with 19 control points by ncc, attitude free",
+        "a control point matched at all 4 levels by ncc",
+        "a frame of 2048² by the limb over relief",
+        "the limb of an ellipsoid through 1000 points, with covariance",
+        "200 frames with priors by one worker, by two",
+        "picture of a mesh of half a million triangles, 1024², with shadows, full phase, "
+        "1² rays at edges",
+        "lunar-lambert shading with shadows",
+        "hapke shading with shadows",
+        "catalog of 41252 points: nearest, row of a point, patches of a point",
+        "a day of an orbit at 100 km with its transition, 288 outputs: field of degree 50",
+        "stars of a picture of 1024²: spots and identification",
+        "a frame of 20 picked points through air, blunders sought, with covariance",
+        "stereo height of a pair",
+        "hazard map and pads of a picture of 2048² from 500 m, by shading",
+    ),
+    "bench_global": (
+        "build from 118 m, two cores",
+        "of it: ingest, render, select, check, write",
+        "two workers against one",
+        "peak memory at 118 m and at 948 m: a worker",
+        "the same: the process that leads",
+        "catalog with patches of 80 and 96 nodes, from 118 m",
+        "open, nearest, points of a cell, a point's patches",
+        "usable points of the made Moon",
+        "usable points of the real Moon",
+        "not usable: flat, not unique, shadowed, not recognised",
+    ),
+}
+RANGE = re.compile(r" \([^()]* to [^()]*, \d+ runs\)")  # of repeated runs, behind their median
 PART = re.compile(r"(<!-- made: (\w+)((?: [\w.-]+)*) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
 def bench(name: str) -> str:
-    """The stored figures of a bench, and from which run they are."""
-    return format_report(read_report(BENCHES / f"{name}.json"), "make {}")
+    """Render the headline rows of a bench's stored figures, and the run that they are from."""
+    report = read_report(BENCHES / f"{name}.json")
+    (table,) = report.tables
+    rows = {str(row[0]): [RANGE.sub("", str(cell)) for cell in row[:3]] for row in table.rows}
+    lines = [f"| {' | '.join(rows[what])} |" for what in BENCH_ROWS[name]]
+    head = f"| {' | '.join(column.title for column in table.columns[:3])} |"
+    run = f"From `make {name.replace('_', '-')}` at commit {report.commit}, {report.date}."
+    return "\n".join([head, "|---|---|---|", *lines, "", *report.notes[:1], "", run]).replace(
+        "\n\n\n", "\n\n"
+    )
 
 
 def accuracy() -> str:
@@ -182,21 +224,29 @@ def _commands_of(group: str) -> dict[str, click.Command]:
 
 
 def configs(folder: str) -> str:
-    """The shipped configs of a folder, each with the first sentence of its comment."""
-    return _listed(
-        {path.name: first_sentence(path) for path in sorted((CONFIGS / folder).glob("*.toml"))}
-    )
+    """List the names of the shipped configs of a folder."""
+    return ", ".join(f"`{path.stem}`" for path in sorted((CONFIGS / folder).glob("*.toml")))
 
 
 def tables() -> str:
-    """Render the columns of every CSV file; those common to several tables once."""
+    """Render the columns of every CSV file; those common to several files once."""
     csv_tables = {title: _csv_table(name) for name, title in TABLES.items()}
-    counts = Counter(column for table in csv_tables.values() for column in set(table.columns))
-    listed = dict.fromkeys(column for table in csv_tables.values() for column in table.columns)
-    common = [column for column in listed if counts[column] >= MIN_COMMON_TABLES]
-    parts = [f"## Common columns\n\n{_column_rows(common, ())}"]
+    counts = Counter(
+        identity for table in csv_tables.values() for identity in set(map(_identity, table.columns))
+    )
+    # of a name that holds different things, what it holds most often is the common one
+    commonest = {name: (name, *rest) for (name, *rest), _ in reversed(counts.most_common())}
+    columns = [column for table in csv_tables.values() for column in table.columns]
+    listed = {_identity(column): column for column in columns if counts[_identity(column)] > 1}
+    common = {
+        identity: column
+        for identity, column in listed.items()
+        if commonest[column.name] == identity
+    }
+    parts = [f"## Common columns\n\n{_column_lines(common.values(), optional=False)}"]
     for title, table in csv_tables.items():
-        parts.append(f"## {title}\n\n{_column_rows(table.columns, common)}")
+        own = [column for column in table.columns if _identity(column) not in common]
+        parts.append(f"## {title}\n\n{_column_lines(own)}")
     return "\n\n".join(parts)
 
 
@@ -206,23 +256,30 @@ def _csv_table(name: str) -> CsvTable:
     return table
 
 
-def _column_rows(columns: Iterable[CsvColumn], common: Collection[CsvColumn]) -> str:
-    """Render columns as a Markdown table; neighbours that differ in an axis share a row."""
+def _identity(column: CsvColumn) -> tuple[str, str, str]:
+    """Return what makes columns of two files one: name, unit or kind, and what it holds."""
+    unit = column.unit if column.kind == "number" else column.kind
+    return column.name, unit, AXIS.sub("", column.meaning)
+
+
+def _column_lines(columns: Iterable[CsvColumn], optional: bool = True) -> str:
+    """Render columns as a Markdown list; neighbours that differ in an axis share a line.
+
+    optional  whether a question mark tells columns with empty cells
+    """
 
     def meaning(column: CsvColumn) -> tuple[str, str]:
-        if column in common:
-            return "", "[common](#common-columns)"
-        kind = column.unit if column.kind == "number" else column.kind
-        holds = re.sub(r"(?:,| along) (?:[A-Za-z]|[xyz]{2})$", "", column.meaning)
-        return f"{kind or 'number'}{'?' if column.empty else ''}", holds
+        _, unit, holds = _identity(column)
+        shown = "" if column.kind == "number" and UNIT_IN_NAME.search(column.name) else unit
+        return f"{shown}{'?' if column.empty and optional else ''}", holds
 
-    rows = []
-    for (kind, holds), group in groupby(columns, key=meaning):
+    lines = []
+    for (unit, holds), group in groupby(columns, key=meaning):
         names = [f"`{column.name}`" for column in group]
-        if len(names) > MAX_NAMES and kind:
+        if len(names) > MAX_NAMES:
             names = [names[0], f"... {len(names)} columns ...", names[-1]]
-        rows.append(f"| {' '.join(names)} | {kind} | {holds} |")
-    return "\n".join(["| column | unit | holds |", "|---|---|---|", *rows])
+        lines.append(f"- {' '.join(names)}{' ' if len(unit) > 1 else ''}{unit}: {holds}")
+    return "\n".join(lines)
 
 
 def reasons() -> str:
