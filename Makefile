@@ -17,6 +17,8 @@ CASE ?=
 # One process a core, a test file at a time, in the order of the folders, so that what the tests of
 # a file share is made once and the longest files do not come last.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
+# Tests start hundreds of processes, and each would compile the modules where no byte code is kept.
+BYTE_CODE := -m compileall -q catalog optnav_cli
 # With threads of its own in each of these, products of small matrices take four times as long.
 ONE_THREAD := OPENBLAS_NUM_THREADS=1
 
@@ -44,7 +46,8 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY) ## the main job on the bundled Tycho terrain, with a report (OUT=optnav-demo)
 	$(BIN)/optnav demo -o $(OUT)
 
-test: lint types tests ## style, types and tests with warnings as errors: what CI runs
+test: $(READY) ## style, types and tests with warnings as errors: what CI runs
+	@$(MAKE) --no-print-directory --jobs=3 lint types tests
 
 check: test ## the same as test
 
@@ -56,6 +59,7 @@ types: $(READY) ## types alone
 	$(BIN)/mypy
 
 tests: $(READY) ## tests alone (ARGS="-k nearest -x" is handed to pytest; -n 0: one process)
+	@$(BIN)/python $(BYTE_CODE)
 	$(ONE_THREAD) $(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 fuzz: $(READY) ## hostile inputs (N=500 SEED=1; one of them again: CASE=kind:seed; KINDS=map,import)
