@@ -28,7 +28,7 @@ import click
 
 from catalog.errors import OutputError
 from catalog.progress import Stage
-from optnav_cli.output.wording import duration, plural, speed
+from optnav_cli.output.wording import format_duration, format_plural, format_speed
 
 LEFT = (errno.EPIPE, errno.EIO)  # the reader went, or the terminal was hung up
 LOG_BEGINNING = b'{"time": '
@@ -236,18 +236,20 @@ class _LineStage:
         if now - self._logged < LINE_S or there >= self.total:
             return
         rate = (self.done - self._logged_done) / (now - self._logged)
-        left = f", {duration((self.total - there) / rate)} left" if rate > 0 else ""
+        left = f", {format_duration((self.total - there) / rate)} left" if rate > 0 else ""
         share = 100 * there // max(self.total, 1)
-        done = f"{there} of {self.total} {plural(self.unit, self.total)} ({share} %)"
+        done = f"{there} of {self.total} {format_plural(self.unit, self.total)} ({share} %)"
         note = f"; {note}" if note else ""
-        _log.info("%s: %s, %s%s%s", self.name, done, speed(rate, self.unit), left, note)
+        _log.info("%s: %s, %s%s%s", self.name, done, format_speed(rate, self.unit), left, note)
         self._logged, self._logged_done = now, self.done
 
     def close(self) -> None:
         took = time.monotonic() - self.started
-        rate = f" ({speed(self.done / took, self.unit)})" if took >= 1.0 and self.done else ""
+        rate = (
+            f" ({format_speed(self.done / took, self.unit)})" if took >= 1.0 and self.done else ""
+        )
         kept = f"; {self.kept} done before" if self.kept else ""
-        done = f"{self.done} {plural(self.unit, self.done)} in {duration(took)}"
+        done = f"{self.done} {format_plural(self.unit, self.done)} in {format_duration(took)}"
         _log.info("%s: %s%s%s", self.name, done, rate, kept)
 
 
@@ -298,7 +300,7 @@ class ConsoleProgress:
             bar = None
             stage = _LineStage(name, total, unit)
             if total > 0:
-                _log.info("%s: %d %s", name, total, plural(unit, total))
+                _log.info("%s: %d %s", name, total, format_plural(unit, total))
         try:
             yield stage
         except BaseException:

@@ -6,8 +6,8 @@ from catalog.errors import DataError
 from catalog.files import check_file, made_by_optnav, replacing_file, starts_with
 from catalog.progress import logged_stage
 from catalog.store.reader import Catalog
-from optnav_cli.calibration.page import calibration_page, is_calibration
-from optnav_cli.cylinder.page import CYLINDER_KIND, cylinder_page, cylinder_sheet
+from optnav_cli.calibration.page import build_calibration_page, is_calibration
+from optnav_cli.cylinder.page import CYLINDER_KIND, build_cylinder_page, draw_cylinder_sheet
 from optnav_cli.hazard.page import make_hazard_page
 from optnav_cli.hazard.settings import KIND as HAZARD
 from optnav_cli.navigate.page import run_page
@@ -24,20 +24,20 @@ from optnav_cli.points.plots import draw_picked_sheet, is_picked
 from optnav_cli.report import page, sheet
 from optnav_cli.report.catalog_page import catalog_page
 from optnav_cli.report.error_plots import error_sheet
-from optnav_cli.stars.page import STARS_KIND, stars_page
+from optnav_cli.stars.page import STARS_KIND, build_stars_page
 
 # Pages and pictures of output folders, by the kind that their manifest states.
 PAGES = {
-    CYLINDER_KIND: cylinder_page,
+    CYLINDER_KIND: build_cylinder_page,
     HAZARD: make_hazard_page,
     ORBIT: orbit_page,
     QSO_KIND: qso_page,
     LANDING_KIND: landing_page,
     DELIVERY_KIND: delivery_page,
-    STARS_KIND: stars_page,
+    STARS_KIND: build_stars_page,
 }
 SHEETS = {
-    CYLINDER_KIND: cylinder_sheet,
+    CYLINDER_KIND: draw_cylinder_sheet,
     ORBIT: orbit_sheet,
     QSO_KIND: qso_sheet,
     LANDING_KIND: landing_sheet,
@@ -78,7 +78,7 @@ def _write(source: Path, output: Path) -> None:
         return
     if source.is_dir():
         made = (draw for kind, draw in PAGES.items() if made_by_optnav(source, kind))
-        text = next(made, calibration_page if is_calibration(source) else run_page)(source)
+        text = next(made, build_calibration_page if is_calibration(source) else run_page)(source)
     elif source.is_file():
         with Catalog.open(source) as catalog:
             text = catalog_page(catalog)

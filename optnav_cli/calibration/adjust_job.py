@@ -25,9 +25,9 @@ from optnav_cli.calibration.adjustment import (
     AdjustedFrame,
     Adjustment,
     adjust,
-    residuals_from,
-    shared_errors_m2,
-    stated_pose,
+    compute_residuals,
+    compute_stated_pose,
+    estimate_shared_errors,
 )
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.common import (
@@ -57,7 +57,7 @@ MIN_SIGMA_PX = 0.02  # of a match, whatever the residuals say
 
 
 class LabelScatter(NamedTuple):
-    """What statements scatter by, 1 sigma a component; None: as frames.csv says.
+    """Scatter of statements, 1 sigma per component; None: that of frames.csv.
 
     A search needs sigmas that hold what all statements have in common as well.
     """
@@ -66,14 +66,14 @@ class LabelScatter(NamedTuple):
     attitude_sigma_arcsec: float | None = None
 
 
-AS_STATED = LabelScatter()
+NO_SCATTER = LabelScatter()
 
 
 def adjust_runs(
     runs: Sequence[Path],
     output: Path,
     kinds: Sequence[Common],
-    scatter: LabelScatter = AS_STATED,
+    scatter: LabelScatter = NO_SCATTER,
 ) -> AdjustedRuns:
     """Adjust the frames of runs together and write the folder of the adjusted run.
 
@@ -87,11 +87,11 @@ def adjust_runs(
     read = [read_run(path) for path in runs]
     first = read[0]
     _check_together(read, kinds)
-    cameras = _cameras(read)
-    rows = adjusted_rows(read, cameras)
+    cameras = _read_all_cameras(read)
+    rows = collect_rows(read, cameras)
     if Common.BORESIGHT in kinds or Common.BODY_ROTATION in kinds:
-        rows = [_without_common_sigma(row) for row in rows]
-    rows = [_scattering(row, scatter) for row in rows]
+        rows = [_subtract_common_sigma(row) for row in rows]
+    rows = [_replace_sigmas(row, scatter) for row in rows]
     frames = [row.adjusted for row in rows if row.adjusted is not None]
     if not frames:
         raise NothingToDoError(
@@ -102,18 +102,18 @@ def adjust_runs(
     numbers = common_numbers(kinds, names, first.attitude.body.radius_m)
     adjustment = adjust(frames, numbers)
     focal_px = {camera.name: camera.focal_length_px for camera in cameras.values()}
-    stages = [residual_stages(frame, adjustment.common) for frame in frames]
+    stages = [compute_stated_residuals(frame, adjustment.common) for frame in frames]
     result = AdjustedRuns(
         adjustment,
         len(frames),
         cameras,
-        _rms_of_stages(adjustment, stages),
-        _misfit(frames, adjustment, stages, focal_px),
+        _compute_stage_rms(adjustment, stages),
+        _compute_misfit(frames, adjustment, stages, focal_px),
     )
-    with replacing_folder(output, KIND) as place:
-        write_adjusted(place, first, rows, cameras, result, stages)
+    with replacing_folder(output, KIND) as work:
+        write_adjusted(work, first, rows, cameras, result, stages)
         write_manifest(
-            place,
+            work,
             KIND,
             command="adjust",
             options={"solve": [kind.value for kind in kinds], **scatter._asdict()},
@@ -145,7 +145,7 @@ def _check_together(runs: Sequence[RunFolder], kinds: Sequence[Common]) -> None:
                 f"{run.path}: its body ({run.attitude.body.name}) is not that of {first.path} "
                 f"({first.attitude.body.name}), or of another file; adjust runs of one body file"
             )
-        catalogs, others = _catalogs(run), _catalogs(first)
+        catalogs, others = _list_catalogs(run), _list_catalogs(first)
         apart = not catalogs & others
         shared = {c.name for c in run.cameras.values()} & {c.name for c in first.cameras.values()}
         if apart and not shared:
@@ -156,13 +156,14 @@ def _check_together(runs: Sequence[RunFolder], kinds: Sequence[Common]) -> None:
         wanted = [kind.value for kind in kinds if kind in OF_THE_CATALOG]
         if apart and wanted:
             raise DataError(
-                f"{run.path}: rests on {_words(catalogs)}, {first.path} on {_words(others)}; "
+                f"{run.path}: rests on {_describe_catalogs(catalogs)}, {first.path} on "
+                f"{_describe_catalogs(others)}; "
                 f"{', '.join(wanted)} can be common to runs of one catalog only: leave them out of "
                 "--solve, or adjust each run by itself"
             )
 
 
-def _catalogs(run: RunFolder) -> set[tuple[str, str]]:
+def _list_catalogs(run: RunFolder) -> set[tuple[str, str]]:
     """Names and digests of the catalogs that the matches of a run rest on."""
     digests: dict[str, str] = {}
     if (run.path / MANIFEST).exists():
@@ -171,12 +172,12 @@ def _catalogs(run: RunFolder) -> set[tuple[str, str]]:
     return {(name, digests.get(name, "")) for name in {m.catalog for m in run.matches if m.used}}
 
 
-def _words(catalogs: set[tuple[str, str]]) -> str:
+def _describe_catalogs(catalogs: set[tuple[str, str]]) -> str:
     names = sorted(f"{name} ({digest[:8]})" if digest else name for name, digest in catalogs)
     return " and ".join(names) or "no catalog"
 
 
-def _cameras(runs: Sequence[RunFolder]) -> dict[str, Camera]:
+def _read_all_cameras(runs: Sequence[RunFolder]) -> dict[str, Camera]:
     """All cameras by name. Raises DataError for two of one name."""
     cameras: dict[str, Camera] = {}
     for run in runs:
@@ -189,8 +190,8 @@ def _cameras(runs: Sequence[RunFolder]) -> dict[str, Camera]:
     return cameras
 
 
-def adjusted_rows(runs: Sequence[RunFolder], cameras: dict[str, Camera]) -> list[AdjustedRow]:
-    """The frames of all runs; of several with pictures of one name, under the name of their run."""
+def collect_rows(runs: Sequence[RunFolder], cameras: dict[str, Camera]) -> list[AdjustedRow]:
+    """Collect the frames of all runs; prefix their names by the run where two are equal."""
     files = Counter(solution.file for run in runs for solution in run.solutions)
     prefixed = max(files.values(), default=1) > 1
     points: dict[tuple[str, int], int] = {}
@@ -203,19 +204,19 @@ def adjusted_rows(runs: Sequence[RunFolder], cameras: dict[str, Camera]) -> list
         for solution in run.solutions:
             if solution.file not in stated:
                 raise DataError(f"{run.path / FRAMES}: has no row for {solution.file}")
-            own = [m for m in matches.get(solution.file, []) if _is_candidate(m)]
+            candidates = [m for m in matches.get(solution.file, []) if _is_candidate(m)]
             frame = stated[solution.file]
-            adjusted = _adjusted_frame(solution, frame, own, cameras, points)
-            row = AdjustedRow(solution, frame, own, adjusted)
-            rows.append(_renamed(row, f"{run.path.name}/{solution.file}") if prefixed else row)
-    return _weighed(rows)
+            adjusted = _make_adjusted_frame(solution, frame, candidates, cameras, points)
+            row = AdjustedRow(solution, frame, candidates, adjusted)
+            rows.append(_rename(row, f"{run.path.name}/{solution.file}") if prefixed else row)
+    return _weigh_rows(rows)
 
 
 def _is_candidate(match: MatchRow) -> bool:
     return match.measured_px is not None and (match.used or match.reason_code == ReasonCode.OUTLIER)
 
 
-def _renamed(row: AdjustedRow, name: str) -> AdjustedRow:
+def _rename(row: AdjustedRow, name: str) -> AdjustedRow:
     return AdjustedRow(
         replace(row.solution, file=name),
         replace(row.frame, file=name),
@@ -224,14 +225,14 @@ def _renamed(row: AdjustedRow, name: str) -> AdjustedRow:
     )
 
 
-def _adjusted_frame(
+def _make_adjusted_frame(
     solution: Solution,
     frame: Frame,
     matches: list[MatchRow],
     cameras: Mapping[str, Camera],
     points: dict[tuple[str, int], int],
 ) -> AdjustedFrame | None:
-    """What of a frame goes into the adjustment; None where it cannot.
+    """Make the frame that goes into the adjustment; None where it cannot.
 
     points  numbers of control points, to which those of the frame are added
     """
@@ -246,7 +247,7 @@ def _adjusted_frame(
         np.array([m.measured_px for m in matches], dtype=np.float64),
         np.tile(np.eye(2), (len(matches), 1, 1)),
     )
-    found = AdjustedFrame(
+    adjusted = AdjustedFrame(
         cameras[frame.camera],
         sightings,
         np.array(numbered),
@@ -256,23 +257,23 @@ def _adjusted_frame(
         frame.camera_from_body,
         frame.attitude_sigma_rad,
     )
-    return found
+    return adjusted
 
 
-def _weighed(rows: Sequence[AdjustedRow]) -> list[AdjustedRow]:
-    """The frames with the scatter of their matches, and what their runs state beyond it."""
+def _weigh_rows(rows: Sequence[AdjustedRow]) -> list[AdjustedRow]:
+    """Add the scatter of the matches to frames, and what their runs state beyond it."""
     squares, freedom = [], []
     for row in rows:
         if row.adjusted is None:
             continue
-        residuals = _own_residuals(row, row.adjusted)
+        residuals = _compute_own_residuals(row, row.adjusted)
         squares.append(float((residuals**2).sum()))
         unknowns = 3 if row.adjusted.attitude_sigma_rad == 0.0 else 6
         freedom.append(max(residuals.size - unknowns, 1))
     if not squares:
         return list(rows)
     pooled = sum(squares) / sum(freedom)
-    found, each = [], iter(zip(squares, freedom, strict=True))
+    weighted, each = [], iter(zip(squares, freedom, strict=True))
     for row in rows:
         frame, fix = row.adjusted, row.solution.fix
         if frame is not None and fix is not None:
@@ -285,16 +286,16 @@ def _weighed(rows: Sequence[AdjustedRow]) -> list[AdjustedRow]:
             used = np.array([match.used for match in row.matches])
             seen = replace(frame, sightings=frame.sightings.subset(used))
             try:
-                shared = shared_errors_m2(seen, fix.covariance_m2)
+                shared = estimate_shared_errors(seen, fix.covariance_m2)
                 frame = replace(frame, shared_m2=shared)
             except NoSolutionError:
                 frame = None
-        found.append(replace(row, adjusted=frame))
-    return found
+        weighted.append(replace(row, adjusted=frame))
+    return weighted
 
 
-def _scattering(row: AdjustedRow, scatter: LabelScatter) -> AdjustedRow:
-    """A frame with other sigmas of its statements, where they are given."""
+def _replace_sigmas(row: AdjustedRow, scatter: LabelScatter) -> AdjustedRow:
+    """Replace the sigmas of a frame's statements, where others are given."""
     frame = row.adjusted
     if frame is None:
         return row
@@ -308,58 +309,60 @@ def _scattering(row: AdjustedRow, scatter: LabelScatter) -> AdjustedRow:
     )
 
 
-def _without_common_sigma(row: AdjustedRow) -> AdjustedRow:
-    """A frame whose attitude's sigma is without what the common numbers are solved for."""
+def _subtract_common_sigma(row: AdjustedRow) -> AdjustedRow:
+    """Subtract from the attitude's sigma what the common numbers are solved for."""
     frame, common = row.adjusted, row.frame.common_sigma_rad
     if frame is None or not frame.attitude_sigma_rad or not common:
         return row
-    own = float(np.sqrt(max(frame.attitude_sigma_rad**2 - common**2, 0.0)))
-    return replace(row, adjusted=replace(frame, attitude_sigma_rad=own))
+    sigma_rad = float(np.sqrt(max(frame.attitude_sigma_rad**2 - common**2, 0.0)))
+    return replace(row, adjusted=replace(frame, attitude_sigma_rad=sigma_rad))
 
 
-def _own_residuals(row: AdjustedRow, frame: AdjustedFrame) -> FloatArray:
-    """Residuals (n, 2), px, of the matches used, from the run's own pose."""
+def _compute_own_residuals(row: AdjustedRow, frame: AdjustedFrame) -> FloatArray:
+    """Compute residuals (n, 2), px, of the matches used, from the run's own pose."""
     used = np.array([match.used for match in row.matches])
     nothing = CommonState((), np.empty(0))
-    residuals = residuals_from(frame, frame.start, nothing)
-    found: FloatArray = np.where(np.isfinite(residuals), residuals, 0.0)[used]
-    return found
+    residuals = compute_residuals(frame, frame.start, nothing)
+    kept: FloatArray = np.where(np.isfinite(residuals), residuals, 0.0)[used]
+    return kept
 
 
-def residual_stages(frame: AdjustedFrame, common: CommonState) -> StatedResiduals:
+def compute_stated_residuals(frame: AdjustedFrame, common: CommonState) -> StatedResiduals:
     nothing = CommonState(common.numbers, np.zeros_like(common.values))
-    found = []
+    stages = []
     for state in (nothing, common):
-        pose = stated_pose(frame, state)
+        pose = compute_stated_pose(frame, state)
         unknown = np.full((len(frame.sightings), 2), np.nan)
-        found.append(unknown if pose is None else residuals_from(frame, pose, state))
-    return StatedResiduals(*found)
+        stages.append(unknown if pose is None else compute_residuals(frame, pose, state))
+    return StatedResiduals(*stages)
 
 
-def _rms_of_stages(adjustment: Adjustment, stages: Sequence[StatedResiduals]) -> dict[str, float]:
-    """Residuals of the matches kept, rms a coordinate, from the statements to the solution."""
+def _compute_stage_rms(
+    adjustment: Adjustment, stages: Sequence[StatedResiduals]
+) -> dict[str, float]:
+    """Compute residuals of the matches kept, rms per coordinate, for each stage."""
     kept = [frame.weights > 0.0 for frame in adjustment.frames]
     parts = {
         "as stated": [stage.stated for stage in stages],
         "with what is common": [stage.constants for stage in stages],
         "adjusted": [frame.residuals_px for frame in adjustment.frames],
     }
-    found = {}
+    rms_px = {}
     for name, residuals in parts.items():
         all_of = np.concatenate([r[k] for r, k in zip(residuals, kept, strict=True)])
         finite = all_of[np.isfinite(all_of)]
         if finite.size:
-            found[name] = float(np.sqrt(np.mean(finite**2)))
-    return found
+            rms_px[name] = float(np.sqrt(np.mean(finite**2)))
+    return rms_px
 
 
-def _misfit(
+def _compute_misfit(
     frames: Sequence[AdjustedFrame],
     adjustment: Adjustment,
     stages: Sequence[StatedResiduals],
     focal_px: Mapping[str, float],
 ) -> dict[str, float]:
-    """What is left of the statements once the common numbers are taken out, rms over frames."""
+    """Compute the errors of statements, rms over frames, with the common numbers taken out."""
     left, weights = [], []
     for frame, result, stage in zip(frames, adjustment.frames, stages, strict=True):
         kept = (result.weights > 0.0) & np.isfinite(stage.constants).all(axis=1)
@@ -368,16 +371,18 @@ def _misfit(
         out = frame.sightings.pixels[kept] - np.array(frame.camera.principal_point_px)
         middle = out.mean(axis=0)
         x, y = (out - middle).T
-        zero, one = np.zeros_like(x), np.ones_like(x)
+        zeros, ones = np.zeros_like(x), np.ones_like(x)
         # a shift, a roll and a stretch about the middle of the matches
-        rows = np.stack([one, zero, -y, x, zero, one, x, y]).reshape(2, 4, -1)
+        rows = np.stack([ones, zeros, -y, x, zeros, ones, x, y]).reshape(2, 4, -1)
         design = rows.transpose(2, 0, 1).reshape(-1, 4)
         normal = design.T @ design
-        found = np.linalg.solve(normal, design.T @ stage.constants[kept].ravel())
+        solved = np.linalg.solve(normal, design.T @ stage.constants[kept].ravel())
         variances = np.diag(np.linalg.inv(normal)) * frame.sightings.covariances_px2[0, 0, 0]
         range_m = float(np.linalg.norm(result.pose.position_m))
-        metres = float(np.hypot(*found[:2])) * range_m / focal_px[frame.camera.name]
-        left.append([float(np.hypot(*found[:2])), metres, np.degrees(found[2]), 100.0 * found[3]])
+        metres = float(np.hypot(*solved[:2])) * range_m / focal_px[frame.camera.name]
+        left.append(
+            [float(np.hypot(*solved[:2])), metres, np.degrees(solved[2]), 100.0 * solved[3]]
+        )
         weights.append(1.0 / variances[[0, 0, 2, 3]])  # few matches say little of a roll
     if not left:
         return {}

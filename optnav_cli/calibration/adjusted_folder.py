@@ -41,7 +41,7 @@ from optnav_cli.output.run_folder import (
     RunFolder,
 )
 from optnav_cli.output.tables import AdjustedMatch, write_adjusted_matches, write_solutions
-from optnav_cli.output.wording import table_lines
+from optnav_cli.output.wording import align_table
 from optnav_cli.reasons import Reason, ReasonCode
 
 MIN_MATCHES = 3  # of a frame
@@ -79,7 +79,7 @@ class StatedResiduals:
 
 @dataclass(frozen=True, eq=False)
 class AdjustedRuns:
-    """What came of an adjustment.
+    """Result of an adjustment.
 
     misfit  what the statements leave with the common numbers taken out, rms over the frames: a
             shift in the picture (shift_px; shift_m on the ground), a roll and a range
@@ -93,28 +93,28 @@ class AdjustedRuns:
 
     @property
     def notes(self) -> list[str]:
-        """What the frames do not tell, in words."""
-        found = []
-        for names in self.adjustment.not_separable():
+        """Notes on what the frames do not observe."""
+        notes = []
+        for names in self.adjustment.find_inseparable():
             if len(names) == 1:
-                found.append(f"{names[0]} is not observed: these frames tell little of it")
+                notes.append(f"{names[0]} is not observed: these frames tell little of it")
             else:
                 words = f"{', '.join(names[:-1])} and {names[-1]}"
-                found.append(f"{words} are not separable with these frames")
+                notes.append(f"{words} are not separable with these frames")
         if self.frames == 1 and self.adjustment.common.numbers:
-            found.append(
+            notes.append(
                 "one frame: what is common is told from its own errors by the stated sigmas alone"
             )
-        return found
+        return notes
 
     def rows(self) -> list[dict[str, object]]:
-        """The rows of common.csv."""
-        unseen = {name for names in self.adjustment.not_separable() for name in names}
+        """Build the rows of common.csv."""
+        unseen = {name for names in self.adjustment.find_inseparable() for name in names}
         common = self.adjustment.common
         rows: list[dict[str, object]] = []
         columns = zip(common.numbers, common.values, self.adjustment.sigmas, strict=True)
         for number, value, sigma in columns:
-            unit, per = self.unit_of(number)
+            unit, per = self.find_unit(number)
             zero = per if number.kind in (Common.SCALE, Common.FOCAL) else 0.0
             rows.append(
                 {
@@ -130,14 +130,14 @@ class AdjustedRuns:
             )
         return rows
 
-    def unit_of(self, number: CommonNumber) -> tuple[str, float]:
-        """The unit that a number is written in, and how many make one of the state's."""
+    def find_unit(self, number: CommonNumber) -> tuple[str, float]:
+        """Find the unit that a number is written in, and how many make one of the state's."""
         if number.kind == Common.FOCAL:
             return "px", self.cameras[number.camera].focal_length_px
         return UNITS[number.kind]
 
     def lines(self) -> list[str]:
-        """A summary for people."""
+        """List the result for people."""
         lines = [f"adjusted {self.frames} frames in {self.adjustment.steps} steps"]
         if self.adjustment.common.numbers:
             head = ("common to them", "", "value", "sigma", "")
@@ -151,7 +151,7 @@ class AdjustedRuns:
                 )
                 for row in self.rows()
             ]
-            lines += table_lines([head, *table], left=(0, 1, 4))
+            lines += align_table([head, *table], left=(0, 1, 4))
         stages = ", ".join(f"{name} {value:.2f}" for name, value in self.residuals_px.items())
         lines.append(f"residuals of the matches, rms a coordinate, px: {stages}")
         if self.misfit:
@@ -175,8 +175,8 @@ def write_adjusted(
     _write_body(place, first, common)
     (place / CAMERAS).mkdir()
     for camera in cameras.values():
-        write_camera(place / CAMERAS, corrected_camera(camera, result.adjustment))
-    known = [r.frame if r.frame.problem is None else _bare(r.frame) for r in rows]
+        write_camera(place / CAMERAS, correct_camera(camera, result.adjustment))
+    known = [r.frame if r.frame.problem is None else _strip_frame(r.frame) for r in rows]
     write_frames(place / FRAMES, first.attitude, known, cameras)
     results = iter(zip(result.adjustment.frames, stages, strict=True))
     solutions, matches = [], []
@@ -185,39 +185,39 @@ def write_adjusted(
             note = row.solution.with_remark(NOT_ADJUSTED) if row.solution.solved else row.solution
             solutions.append(note)
             continue
-        found, stage = next(results)
-        matches += _matches(row, row.adjusted, found, stage)
-        solutions.append(replace(row.solution, outcome=_outcome(row.solution, found)))
+        frame_result, stage = next(results)
+        matches += _build_matches(row, row.adjusted, frame_result, stage)
+        solutions.append(replace(row.solution, outcome=_make_outcome(row.solution, frame_result)))
     write_solutions(place / SOLUTION, solutions, first.attitude)
     write_adjusted_matches(place / MATCHES, matches)
     COMMON_NUMBERS.write(place / COMMON_CSV, result.rows())
-    (place / COMMON_JSON).write_text(_document(result), encoding="utf-8")
+    (place / COMMON_JSON).write_text(_format_document(result), encoding="utf-8")
 
 
-def _matches(
-    row: AdjustedRow, frame: AdjustedFrame, found: FrameResult, stage: StatedResiduals
+def _build_matches(
+    row: AdjustedRow, frame: AdjustedFrame, frame_result: FrameResult, stage: StatedResiduals
 ) -> list[AdjustedMatch]:
-    """The matches of a frame with their residuals."""
+    """Build the matches of a frame with their residuals."""
     made = []
     for k, match in enumerate(row.matches):
-        kept = bool(found.weights[k] > 0.0)
+        kept = bool(frame_result.weights[k] > 0.0)
         reason = Reason() if kept else OUTLIER
         changed = replace(
             match,
             used=kept,
-            predicted_px=frame.sightings.pixels[k] - found.residuals_px[k],
-            residual_px=found.residuals_px[k],
+            predicted_px=frame.sightings.pixels[k] - frame_result.residuals_px[k],
+            residual_px=frame_result.residuals_px[k],
             reason=reason.text,
             reason_code=reason.code,
         )
-        weight = float(found.weights[k])
+        weight = float(frame_result.weights[k])
         made.append(AdjustedMatch(changed, stage.stated[k], stage.constants[k], weight))
     return made
 
 
-def _outcome(before: Solution, found: FrameResult) -> Fix | NoFix:
-    """What became of a frame."""
-    kept_px = found.residuals_px[found.weights > 0.0]
+def _make_outcome(before: Solution, frame_result: FrameResult) -> Fix | NoFix:
+    """Make the outcome of a frame."""
+    kept_px = frame_result.residuals_px[frame_result.weights > 0.0]
     evidence = Evidence(
         n_predicted=before.n_predicted,
         n_matched=before.n_matched,
@@ -228,21 +228,21 @@ def _outcome(before: Solution, found: FrameResult) -> Fix | NoFix:
         return NoFix(DISAGREES, Method.CONTROL_POINTS, evidence)
     return Fix(
         Method.CONTROL_POINTS,
-        found.pose.position_m,
-        found.covariance[:3, :3],
-        found.pose.camera_from_body,
-        float(np.sqrt(np.trace(found.covariance[3:, 3:]) / 3.0)),
+        frame_result.pose.position_m,
+        frame_result.covariance[:3, :3],
+        frame_result.pose.camera_from_body,
+        float(np.sqrt(np.trace(frame_result.covariance[3:, 3:]) / 3.0)),
         evidence,
     )
 
 
-def _bare(frame: Frame) -> Frame:
+def _strip_frame(frame: Frame) -> Frame:
     return Frame(frame.file, frame.utc, frame.camera)
 
 
-def _document(result: AdjustedRuns) -> str:
+def _format_document(result: AdjustedRuns) -> str:
     adjustment = result.adjustment
-    scale = np.array([result.unit_of(number)[1] for number in adjustment.common.numbers])
+    scale = np.array([result.find_unit(number)[1] for number in adjustment.common.numbers])
     document = {
         "numbers": result.rows(),
         "covariance": (adjustment.covariance * np.outer(scale, scale)).tolist(),
@@ -257,8 +257,8 @@ def _document(result: AdjustedRuns) -> str:
     return json.dumps(document, indent=1, allow_nan=False) + "\n"
 
 
-def corrected_camera(camera: Camera, adjustment: Adjustment) -> Camera:
-    """A camera as the adjustment finds it."""
+def correct_camera(camera: Camera, adjustment: Adjustment) -> Camera:
+    """Correct a camera by what the adjustment found."""
     common = adjustment.common
     lens = common.lens(camera)
     kinds = (Common.BORESIGHT, Common.MOUNTING)
@@ -281,8 +281,8 @@ def _write_body(place: Path, run: RunFolder, common: CommonState) -> None:
     turn = before.stated_from_catalog * common.turn
     offset = before.stated(common.origin_m)
     frame = CatalogFrame(
-        turn_deg=_three(np.degrees(turn.as_rotvec())),
-        offset_m=_three(offset),
+        turn_deg=_unpack_vector(np.degrees(turn.as_rotvec())),
+        offset_m=_unpack_vector(offset),
         scale=before.scale * common.scale,
     )
     named = is_body_file(settings.body)
@@ -302,6 +302,6 @@ def _write_body(place: Path, run: RunFolder, common: CommonState) -> None:
     write_run_settings(RunSettings(str(file), settings.attitude), place)
 
 
-def _three(vector: FloatArray) -> tuple[float, float, float]:
+def _unpack_vector(vector: FloatArray) -> tuple[float, float, float]:
     x, y, z = (float(value) for value in vector)
     return x, y, z

@@ -23,9 +23,9 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import ARCSEC, cross_matrix
 from optnav_cli.calibration.model import (
     FrameMotion,
-    clustered_excess,
-    lens_columns,
-    slope_of_weights,
+    compute_weight_slope,
+    differentiate_lens,
+    estimate_clustered_excess,
 )
 from optnav_cli.estimation.least_squares import inverse_of
 from optnav_cli.estimation.models.common import AdjustableCamera, Common, CommonNumber, CommonState
@@ -78,23 +78,23 @@ class AdjustedFrame:
             return None
         return self.shared_m2 + np.eye(3) * max(self.position_sigma_m, MIN_POSITION_SIGMA_M) ** 2
 
-    def placed(self, pose: Pose, covariance: FloatArray) -> tuple[Pose, FloatArray]:
-        """Pose and covariance (6, 6) of the camera, of those where it looks to stand.
+    def correct_shared_errors(self, pose: Pose, covariance: FloatArray) -> tuple[Pose, FloatArray]:
+        """Correct pose and covariance (6, 6) for shared errors, as far as the statement tells them.
 
         The statement tells a part of the shared errors; the others stay in the covariance.
         """
         gain, left = np.zeros((3, 3)), self.shared_m2
         spread = self.position_spread_m2
-        place = pose.position_m
+        position = pose.position_m
         if spread is not None and self.position_m is not None:
             gain = self.shared_m2 @ np.linalg.inv(spread)
             left = self.shared_m2 - gain @ self.shared_m2
-            place = place - gain @ (place - self.position_m)
+            position = position - gain @ (position - self.position_m)
         change = np.eye(6)
         change[:3, :3] -= gain
-        whole = change @ covariance @ change.T
-        whole[:3, :3] += 0.5 * (left + left.T)
-        return Pose(place, pose.camera_from_body), whole
+        pose_covariance = change @ covariance @ change.T
+        pose_covariance[:3, :3] += 0.5 * (left + left.T)
+        return Pose(position, pose.camera_from_body), pose_covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,21 +135,21 @@ class Adjustment:
         sigmas: FloatArray = np.sqrt(np.diag(self.covariance))
         return sigmas
 
-    def not_separable(self) -> list[tuple[str, ...]]:
-        """What the frames tell little of: names that stand together cannot be told apart."""
+    def find_inseparable(self) -> list[tuple[str, ...]]:
+        """Find what the frames do not observe: names that stand together cannot be separated."""
         if not self.common.numbers:
             return []
         scale = np.array([n.prior_sigma for n in self.common.numbers])
         shares, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
-        found: list[tuple[str, ...]] = []
+        groups: list[tuple[str, ...]] = []
         for share, vector in zip(shares, vectors.T, strict=True):
             if share < OBSERVED**2:
                 continue
             parts = zip(self.common.numbers, vector, strict=True)
             names = tuple(dict.fromkeys(n.label for n, size in parts if abs(size) > NAMED))
-            if names not in found:
-                found.append(names)
-        return found
+            if names not in groups:
+                groups.append(names)
+        return groups
 
 
 def adjust(
@@ -166,11 +166,12 @@ def adjust(
     information = np.diag([n.prior_sigma**-2 for n in numbers]).reshape(len(numbers), len(numbers))
     for step_number in range(1, MAX_STEPS + 1):
         pixels = [
-            residuals_from(frame, pose, common) for frame, pose in zip(frames, poses, strict=True)
+            compute_residuals(frame, pose, common)
+            for frame, pose in zip(frames, poses, strict=True)
         ]
-        weights = _weights(frames, pixels)
+        weights = _compute_weights(frames, pixels)
         blocks = [
-            _Block.of(frame, pose, common, weight)
+            _Block.eliminate_pose(frame, pose, common, weight)
             for frame, pose, weight in zip(frames, poses, weights, strict=True)
         ]
         normal = information + sum((b.reduced for b in blocks), np.zeros_like(information))
@@ -179,7 +180,7 @@ def adjust(
             gradient = gradient + block.reduced_gradient
         covariance = inverse_of(normal) if len(numbers) else normal
         step = covariance @ gradient
-        moves = [block.pose_step(step) for block in blocks]
+        moves = [block.solve_pose_step(step) for block in blocks]
         largest = max(
             [float(np.max(np.abs(m) / b.sigmas)) for m, b in zip(moves, blocks, strict=True)]
             + [float(np.max(np.abs(step) / np.sqrt(np.diag(covariance)), initial=0.0))]
@@ -191,65 +192,65 @@ def adjust(
         poses = [pose.moved(move) for pose, move in zip(poses, moves, strict=True)]
         if largest < SETTLED_SIGMAS:
             shares = np.concatenate(weights) if by_direction else None
-            excess, raised = _shared_points(frames, blocks, covariance, shares)
-            covariance = raised + _shared_by_frames(frames, poses, blocks, covariance)
+            excess, raised = _add_shared_points(frames, blocks, covariance, shares)
+            covariance = raised + _propagate_shared_errors(frames, poses, blocks, covariance)
             results = tuple(
                 FrameResult(
-                    *frame.placed(pose, block.pose_covariance(covariance)),
-                    residuals_from(frame, pose, common),
+                    *frame.correct_shared_errors(pose, block.propagate_covariance(covariance)),
+                    compute_residuals(frame, pose, common),
                     weight,
                 )
                 for frame, pose, block, weight in zip(frames, poses, blocks, weights, strict=True)
             )
-            off = _off_statements(frames, poses, common)
+            off = _compute_off_statements(frames, poses, common)
             return Adjustment(common, covariance, results, excess, off, step_number)
     text = f"the adjustment did not settle in {MAX_STEPS} iterations"
     raise NoSolutionError(text, ReasonCode.NOT_SETTLED)
 
 
-def stated_pose(frame: AdjustedFrame, common: CommonState) -> Pose | None:
-    """Where a frame was, had its statements no errors but the common ones; None if not stated."""
+def compute_stated_pose(frame: AdjustedFrame, common: CommonState) -> Pose | None:
+    """Compute the pose of a frame whose statements have only common errors; None if not stated."""
     if frame.position_m is None or frame.attitude is None:
         return None
-    position_m, attitude, _, _ = _at_exposure(frame, common)
+    position_m, attitude, _, _ = _propagate_to_exposure(frame, common)
     if position_m is None or attitude is None:
         return None
     return Pose(position_m, attitude)
 
 
-def _off_statements(
+def _compute_off_statements(
     frames: Sequence[AdjustedFrame], poses: Sequence[Pose], common: CommonState
 ) -> float:
-    """As `Adjustment` has it."""
+    """Compute how far poses lie from their statements, see `Adjustment`."""
     square, count = 0.0, 0
     for frame, pose in zip(frames, poses, strict=True):
-        for _, _, off, weight in _statements(frame, pose, common):
+        for _, _, off, weight in _linearise_statements(frame, pose, common):
             square += float(off @ weight @ off)
             count += off.size
     return float(np.sqrt(square / max(count, 1)))
 
 
-def _at_exposure(
+def _propagate_to_exposure(
     frame: AdjustedFrame, common: CommonState
 ) -> tuple[FloatArray | None, Rotation | None, FloatArray, FloatArray]:
-    """Stated position and attitude at the time that the clock tells, and their change with it."""
-    name, place, turn = frame.camera.name, frame.position_m, frame.attitude
+    """Propagate stated position and attitude to the clock's time; return their rates, too."""
+    name, position, turn = frame.camera.name, frame.position_m, frame.attitude
     turn = None if turn is None else common.boresight(name) * turn
     if frame.motion is None:
-        return place, turn, np.zeros(3), np.zeros(3)
-    return frame.motion.later(place, turn, common.clock_s(name))
+        return position, turn, np.zeros(3), np.zeros(3)
+    return frame.motion.propagate(position, turn, common.clock_s(name))
 
 
-def residuals_from(frame: AdjustedFrame, pose: Pose, common: CommonState) -> FloatArray:
-    """(n, 2) measured less predicted from a pose, px; NaN where a point is out of view."""
+def compute_residuals(frame: AdjustedFrame, pose: Pose, common: CommonState) -> FloatArray:
+    """Compute residuals (n, 2) from a pose, px; NaN where a point is out of view."""
     places = common.places_m(frame.sightings.points_body_m)
     pixels, _ = predict(common.lens(frame.camera), pose, places)
     residuals: FloatArray = frame.sightings.pixels - pixels
     return residuals
 
 
-def shared_errors_m2(frame: AdjustedFrame, stated_covariance_m2: FloatArray) -> FloatArray:
-    """What a run states of a position's covariance (3, 3) beyond the scatter of its matches.
+def estimate_shared_errors(frame: AdjustedFrame, stated_covariance_m2: FloatArray) -> FloatArray:
+    """Estimate the part of a position's stated covariance (3, 3) beyond its matches' scatter.
 
     stated_covariance_m2  (3, 3) for the attitude as stated to the run
     Raises NoSolutionError when the matches leave the pose open.
@@ -286,40 +287,40 @@ class _Block:
     own: FloatArray
 
     @classmethod
-    def of(
+    def eliminate_pose(
         cls, frame: AdjustedFrame, pose: Pose, common: CommonState, weights: FloatArray
     ) -> "_Block":
-        by_pose, by_common, residuals = _jacobians(frame, pose, common)
+        by_pose, by_common, residuals = _compute_jacobians(frame, pose, common)
         seen = weights > 0.0
         by_pose, by_common = by_pose[seen], by_common[seen]
         weighing = np.linalg.inv(frame.sightings.covariances_px2[seen]) * weights[seen, None, None]
         weighted = np.einsum("nij,nj->ni", weighing, residuals[seen])
         normal = np.einsum("nia,nij,njb->ab", by_pose, weighing, by_pose)
         mixed = np.einsum("nia,nij,njb->ab", by_pose, weighing, by_common)
-        whole = np.einsum("nia,nij,njb->ab", by_common, weighing, by_common)
+        common_normal = np.einsum("nia,nij,njb->ab", by_common, weighing, by_common)
         gradient = np.einsum("nia,ni->a", by_pose, weighted)
         common_gradient = np.einsum("nia,ni->a", by_common, weighted)
-        for rows, columns, off, weight in _statements(frame, pose, common):
+        for rows, columns, off, weight in _linearise_statements(frame, pose, common):
             normal = normal + rows.T @ weight @ rows
             mixed = mixed + rows.T @ weight @ columns
-            whole = whole + columns.T @ weight @ columns
+            common_normal = common_normal + columns.T @ weight @ columns
             gradient = gradient + rows.T @ weight @ off
             common_gradient = common_gradient + columns.T @ weight @ off
         inverse = inverse_of(normal)
         gain = inverse @ mixed
         left = by_common - by_pose @ gain
         scores = np.zeros((len(seen), mixed.shape[1]))
-        own = np.zeros((len(seen), mixed.shape[1], mixed.shape[1]))
+        chance = np.zeros((len(seen), mixed.shape[1], mixed.shape[1]))
         scores[seen] = np.einsum("nia,ni->na", left, weighted)
-        own[seen] = np.einsum("nia,nij,njb->nab", left, weighing, left)
+        chance[seen] = np.einsum("nia,nij,njb->nab", left, weighing, left)
         return cls(
             inverse,
             gain,
             gradient,
-            whole - mixed.T @ gain,
+            common_normal - mixed.T @ gain,
             common_gradient - gain.T @ gradient,
             scores,
-            own,
+            chance,
         )
 
     @property
@@ -328,21 +329,21 @@ class _Block:
         sigmas: FloatArray = np.sqrt(np.diag(self.inverse))
         return sigmas
 
-    def pose_step(self, step: FloatArray) -> FloatArray:
-        """The pose's step (6,) that belongs to one of the common numbers."""
-        own: FloatArray = self.inverse @ self.gradient
-        return own - self.gain @ step
+    def solve_pose_step(self, step: FloatArray) -> FloatArray:
+        """Solve the pose's step (6,) that belongs to one of the common numbers."""
+        free_step: FloatArray = self.inverse @ self.gradient
+        return free_step - self.gain @ step
 
-    def pose_covariance(self, covariance: FloatArray) -> FloatArray:
-        """(6, 6) of the pose, by that of the common numbers."""
+    def propagate_covariance(self, covariance: FloatArray) -> FloatArray:
+        """Propagate the covariance of the common numbers to that of the pose (6, 6)."""
         by_common: FloatArray = self.gain @ covariance @ self.gain.T
         return self.inverse + by_common
 
 
-def _jacobians(
+def _compute_jacobians(
     frame: AdjustedFrame, pose: Pose, common: CommonState
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Change of pixels with the pose (n, 2, 6), with the common (n, 2, k), residuals (n, 2)."""
+    """Compute the change of pixels with pose (n, 2, 6) and common (n, 2, k); residuals (n, 2)."""
     places, camera = frame.sightings.points_body_m, common.lens(frame.camera)
     turned = common.turn.apply(places)
     pixels, by_pose = predict(camera, pose, common.places_m(places))
@@ -355,7 +356,7 @@ def _jacobians(
         Common.ORIGIN: by_place,
         Common.SCALE: np.einsum("nij,nj->ni", by_place, turned)[:, :, None],
         Common.FOCAL: (offsets / common.focal_factor(camera.name))[:, :, None],
-        **lens_columns(camera, common, pose, common.places_m(places)),
+        **differentiate_lens(camera, common, pose, common.places_m(places)),
     }
     for kind, values in columns.items():
         places_of = common.places(kind, camera.name)
@@ -364,21 +365,21 @@ def _jacobians(
     return by_pose, by_common, frame.sightings.pixels - pixels
 
 
-def _statements(
+def _linearise_statements(
     frame: AdjustedFrame, pose: Pose, common: CommonState
 ) -> list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-    """Change of each statement with pose (3, 6) and common (3, k), residual (3,), weight (3, 3)."""
-    found: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
+    """Linearise statements by pose (3, 6) and common (3, k); residual (3,), weight (3, 3)."""
+    rows_of_statements: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
     unknowns = len(common.numbers)
     spread, name = frame.position_spread_m2, frame.camera.name
-    place, measured, velocity, rate = _at_exposure(frame, common)
+    position, measured, velocity, rate = _propagate_to_exposure(frame, common)
     clock = common.places(Common.CLOCK, name)
-    if spread is not None and place is not None:
-        off = place - pose.position_m
+    if spread is not None and position is not None:
+        off = position - pose.position_m
         weight: FloatArray = np.linalg.inv(spread).astype(np.float64)
         columns = np.zeros((3, unknowns))
         columns[:, clock] = -velocity[:, None]
-        found.append((np.eye(3, 6), columns, off, weight))
+        rows_of_statements.append((np.eye(3, 6), columns, off, weight))
     if measured is not None and frame.attitude_sigma_rad is not None:
         off = (measured * pose.camera_from_body.inv()).as_rotvec()
         columns = np.zeros((3, unknowns))
@@ -387,12 +388,14 @@ def _statements(
             columns[:, places] = -np.eye(3, len(places))
         columns[:, clock] = -rate[:, None]
         weight = np.eye(3) * max(frame.attitude_sigma_rad, MIN_ATTITUDE_SIGMA) ** -2
-        found.append((np.eye(3, 6, 3), columns, off, weight))
-    return found
+        rows_of_statements.append((np.eye(3, 6, 3), columns, off, weight))
+    return rows_of_statements
 
 
-def _weights(frames: Sequence[AdjustedFrame], residuals: Sequence[FloatArray]) -> list[FloatArray]:
-    """Tukey's weights (n,) of each frame's matches; the cut follows the scatter of all."""
+def _compute_weights(
+    frames: Sequence[AdjustedFrame], residuals: Sequence[FloatArray]
+) -> list[FloatArray]:
+    """Compute Tukey's weights (n,) of each frame's matches; the cut follows the scatter of all."""
     sizes = []
     for frame, off in zip(frames, residuals, strict=True):
         information = np.linalg.inv(frame.sightings.covariances_px2)
@@ -405,43 +408,45 @@ def _weights(frames: Sequence[AdjustedFrame], residuals: Sequence[FloatArray]) -
     return [tukey_weights(np.minimum(size, 10.0 * cut), cut) for size in sizes]
 
 
-def _shared_points(
+def _add_shared_points(
     frames: Sequence[AdjustedFrame],
     blocks: Sequence[_Block],
     covariance: FloatArray,
     weights: FloatArray | None,
 ) -> tuple[float, FloatArray]:
-    """By how much errors that frames share of a point raise a variance, and the covariance so."""
+    """Raise the covariance by errors that frames share of a point; return that factor as well."""
     if not len(covariance):
         return 1.0, covariance
     points = np.concatenate([frame.points for frame in frames])
     scores = np.concatenate([block.scores for block in blocks])
-    own = np.sum([block.own.sum(axis=0) for block in blocks], axis=0)
+    chance = np.sum([block.own.sum(axis=0) for block in blocks], axis=0)
     _, of = np.unique(points, return_inverse=True)
     sums = np.zeros((int(of.max(initial=-1)) + 1, scores.shape[1]))
     np.add.at(sums, of, scores)
-    expected = float(np.trace(covariance @ own))
+    expected = float(np.trace(covariance @ chance))
     seen = float(np.einsum("pa,ab,pb->", sums, covariance, sums))
     excess = max(seen / expected, 1.0) if expected > 0.0 else 1.0
     if weights is not None and len(sums) >= MANY_POINTS * len(covariance):
-        more = clustered_excess(sums / slope_of_weights(weights), own)
+        more = estimate_clustered_excess(sums / compute_weight_slope(weights), chance)
         return excess, covariance + covariance @ more @ covariance
-    return excess, covariance + (excess - 1.0) * covariance @ own @ covariance
+    return excess, covariance + (excess - 1.0) * covariance @ chance @ covariance
 
 
-def _shared_by_frames(
+def _propagate_shared_errors(
     frames: Sequence[AdjustedFrame],
     poses: Sequence[Pose],
     blocks: Sequence[_Block],
     covariance: FloatArray,
 ) -> FloatArray:
-    """What errors of all frames alike, along their lines of sight, add to the covariance (k, k)."""
+    """Propagate errors along the lines of sight, common to all frames, to the covariance (k, k)."""
     moved = np.zeros(len(covariance))
     for frame, pose, block in zip(frames, poses, blocks, strict=True):
         spread = frame.position_spread_m2
         if spread is not None:
-            away = pose.position_m / np.linalg.norm(pose.position_m)
-            error = away * np.sqrt(CATALOG_SHARE * max(float(away @ frame.shared_m2 @ away), 0.0))
+            direction = pose.position_m / np.linalg.norm(pose.position_m)
+            error = direction * np.sqrt(
+                CATALOG_SHARE * max(float(direction @ frame.shared_m2 @ direction), 0.0)
+            )
             moved -= block.gain[:3].T @ np.linalg.solve(spread, error)
     shift = covariance @ moved
     return np.outer(shift, shift)

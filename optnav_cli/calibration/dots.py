@@ -71,7 +71,7 @@ def _find_corners(values: Float32Array, size: tuple[int, int] | None) -> GridDot
             f"{MIN_SIDE}",
             ReasonCode.NO_BODY,
         )
-    scaled = _stretched(values)
+    scaled = _stretch(values)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     seen, corners = cv2.findChessboardCornersSB(scaled, size, flags=flags)
     if not seen:
@@ -93,8 +93,8 @@ def _find_corners(values: Float32Array, size: tuple[int, int] | None) -> GridDot
     return GridDots(np.asarray(refined, np.float64).reshape(-1, 2), places, size)
 
 
-def _stretched(values: Float32Array) -> NDArray[np.uint8]:
-    """Eight bits between the picture's black and white. Raises NoSolutionError for a flat one."""
+def _stretch(values: Float32Array) -> NDArray[np.uint8]:
+    """Stretch to eight bits between black and white. Raises NoSolutionError for a flat picture."""
     low, high = np.percentile(values, STRETCH)
     if not high > low:
         raise NoSolutionError("no grid of dots: the picture is flat", ReasonCode.NO_BODY)
@@ -107,29 +107,29 @@ def _stretched(values: Float32Array) -> NDArray[np.uint8]:
 def find_dots(
     values: Float32Array, size: tuple[int, int] | None, pattern: Pattern | None = None
 ) -> GridDots:
-    """The dots of a grid, dark on light or light on dark, in a picture (rows, columns).
+    """Find the dots of a grid, dark on light or light on dark, in a picture (rows, columns).
 
     size     columns and rows of dots; found if None
     pattern  circles or acircles; None for the one that there is
     Raises NoSolutionError where there is no whole grid.
     """
     factor = min(1.0, DETECTED_PX / max(values.shape))
-    scaled = _stretched(values)
+    scaled = _stretch(values)
     if factor < 1.0:
         small = cv2.resize(scaled, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
         scaled = np.asarray(small, np.uint8)
     words = []
     for colour, name in ((0, "dark"), (255, "light")):
-        spots = _spots(scaled, colour)
-        pixels, places = _followed(spots)
+        spots = _detect_spots(scaled, colour)
+        pixels, places = _track_grid(spots)
         columns, rows = (int(n) for n in places.max(axis=0) + 1) if len(places) else (0, 0)
         words.append(f"{len(pixels)} of {len(spots)} {name} spots lie on {columns} x {rows} places")
-        for named, kind in (("circles", _as_rectangle), ("acircles", _as_asymmetric)):
+        for named, kind in (("circles", _match_rectangle), ("acircles", _match_asymmetric)):
             grid = kind(places, size) if pattern in (None, named) else None
             if grid is not None:
                 # of a picture that was made smaller: middles of its pixels
                 middles = (pixels + 0.5) / factor - 0.5
-                return GridDots(_centred(values, middles, dark=colour == 0), *grid)
+                return GridDots(_refine_centres(values, middles, dark=colour == 0), *grid)
     wanted = "" if size is None else f" of {size[0]} x {size[1]} dots"
     wanted = f" ({pattern})" + wanted if pattern else wanted
     raise NoSolutionError(
@@ -142,21 +142,21 @@ def find_dots(
 Numbered = tuple[IntArray, tuple[int, int]]
 
 
-def _as_rectangle(places: IntArray, size: tuple[int, int] | None) -> Numbered | None:
-    """Places (n, 2) and size of a whole rectangle of dots; None where they are none."""
+def _match_rectangle(places: IntArray, size: tuple[int, int] | None) -> Numbered | None:
+    """Match places (n, 2) to a whole rectangle of dots; None where they are none."""
     if not len(places):
         return None
     columns, rows = (int(n) for n in places.max(axis=0) + 1)
     if size is not None and (rows, columns) == size != (columns, rows):
         places, (columns, rows) = places[:, ::-1], size
-    whole = len(places) >= (1.0 - MAX_LOST) * columns * rows
-    if min(columns, rows) < MIN_SIDE or not whole or size not in (None, (columns, rows)):
+    is_complete = len(places) >= (1.0 - MAX_LOST) * columns * rows
+    if min(columns, rows) < MIN_SIDE or not is_complete or size not in (None, (columns, rows)):
         return None
     return places, (columns, rows)
 
 
-def _as_asymmetric(places: IntArray, size: tuple[int, int] | None) -> Numbered | None:
-    """Places and size of OpenCV's asymmetric grid; None where dots are none.
+def _match_asymmetric(places: IntArray, size: tuple[int, int] | None) -> Numbered | None:
+    """Match places to OpenCV's asymmetric grid; None where dots are none.
 
     Its dots stand on a square lattice that is turned by 45 deg: dot j of row i at (2 j + i % 2, i).
     """
@@ -166,23 +166,23 @@ def _as_asymmetric(places: IntArray, size: tuple[int, int] | None) -> Numbered |
     turned = turned - turned.min(axis=0)
     across, along = (int(n) for n in turned.max(axis=0) + 1)
     for steps, (wide, rows) in ((turned, (across, along)), (turned[:, ::-1], (along, across))):
-        found = wide // 2, rows
+        grid_size = wide // 2, rows
         # each row has the same number of dots, so the sheet is an even number of steps wide
-        if wide % 2 or min(found) < MIN_SIDE or size not in (None, found):
+        if wide % 2 or min(grid_size) < MIN_SIDE or size not in (None, grid_size):
             continue
-        if len(steps) >= (1.0 - MAX_LOST) * found[0] * rows:
+        if len(steps) >= (1.0 - MAX_LOST) * grid_size[0] * rows:
             # the first row begins at the border, as OpenCV's does: else it is seen from its end
             first = steps.sum(axis=1) % 2
             if first.mean() > 0.5:
                 steps = steps * [1, -1] + [0, rows - 1]
             if (steps.sum(axis=1) % 2).mean() > 0.5:
                 steps = steps * [-1, 1] + [wide - 1, 0]
-            return steps, found
+            return steps, grid_size
     return None
 
 
-def _spots(picture: NDArray[np.uint8], colour: int) -> FloatArray:
-    """Places (n, 2) of round spots, dark ones for colour 0, light ones for 255."""
+def _detect_spots(picture: NDArray[np.uint8], colour: int) -> FloatArray:
+    """Detect round spots (n, 2), dark ones for colour 0, light ones for 255."""
     wanted = cv2.SimpleBlobDetector.Params()
     wanted.blobColor, wanted.filterByColor = colour, True
     wanted.minThreshold, wanted.maxThreshold, wanted.thresholdStep = 20.0, 240.0, 20.0
@@ -195,8 +195,8 @@ def _spots(picture: NDArray[np.uint8], colour: int) -> FloatArray:
     return np.array([spot.pt for spot in spots], np.float64).reshape(-1, 2)
 
 
-def _followed(spots: FloatArray) -> tuple[FloatArray, IntArray]:
-    """The spots of a grid (n, 2) and their columns and rows (n, 2), from 0 on; empty for none."""
+def _track_grid(spots: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Track the grid from spot to spot: spots (n, 2), their columns and rows (n, 2), from 0 on."""
     nothing = np.empty((0, 2)), np.empty((0, 2), np.int64)
     if not 2 * MIN_SIDE <= len(spots) <= MAX_SPOTS:
         return nothing
@@ -210,7 +210,7 @@ def _followed(spots: FloatArray) -> tuple[FloatArray, IntArray]:
     beside = near[np.abs(cosines) < SQUARE]
     if not len(beside):
         return nothing
-    found = {(0, 0): first}
+    numbers = {(0, 0): first}
     # the steps to the next column and row as they are about each spot
     bases = {(0, 0): np.array([along, beside[0]])}
     taken, queue = {first}, [(0, 0)]
@@ -220,35 +220,35 @@ def _followed(spots: FloatArray) -> tuple[FloatArray, IntArray]:
         for step in STEPS:
             there = here[0] + step[0], here[1] + step[1]
             move = np.array(step, np.float64) @ base
-            away, number = tree.query(spots[found[here]] + move)
-            if there in found or number in taken or away > NEAR * float(np.linalg.norm(move)):
+            distance, number = tree.query(spots[numbers[here]] + move)
+            if there in numbers or number in taken or distance > NEAR * float(np.linalg.norm(move)):
                 continue
-            found[there] = int(number)
+            numbers[there] = int(number)
             taken.add(int(number))
             changed = base.copy()
             # halfway: a step's own error would be handed on
-            own = (spots[number] - spots[found[here]]) * float(sum(step))
-            changed[0 if step[0] else 1] = 0.5 * (own + changed[0 if step[0] else 1])
+            measured_step = (spots[number] - spots[numbers[here]]) * float(sum(step))
+            changed[0 if step[0] else 1] = 0.5 * (measured_step + changed[0 if step[0] else 1])
             bases[there] = changed
             queue.append(there)
-    places = np.array(list(found), np.int64)
-    return spots[list(found.values())], places - places.min(axis=0)
+    places = np.array(list(numbers), np.int64)
+    return spots[list(numbers.values())], places - places.min(axis=0)
 
 
-def _centred(values: Float32Array, dots: FloatArray, dark: bool) -> FloatArray:
-    """Middles of dots (n, 2) by the brightness about them."""
+def _refine_centres(values: Float32Array, dots: FloatArray, dark: bool) -> FloatArray:
+    """Refine the middles of dots (n, 2) by the brightness about them."""
     nearest = cKDTree(dots).query(dots, 2)[0][:, 1]
-    found = dots.copy()
+    centres = dots.copy()
     for number, reach in enumerate(WINDOW * nearest):
         for _ in range(REFINEMENTS):
-            found[number] = _centroid(values, found[number], float(reach), dark)
-    return found
+            centres[number] = _locate_centroid(values, centres[number], float(reach), dark)
+    return centres
 
 
-def _centroid(values: Float32Array, at: FloatArray, reach: float, dark: bool) -> FloatArray:
-    """Centre of what is darker, or lighter, than the paper, within a circle."""
-    x0, y0 = (int(np.floor(place - reach)) for place in at)
-    x1, y1 = (int(np.ceil(place + reach)) + 1 for place in at)
+def _locate_centroid(values: Float32Array, at: FloatArray, reach: float, dark: bool) -> FloatArray:
+    """Locate the centre of what is darker, or lighter, than the paper, within a circle."""
+    x0, y0 = (int(np.floor(coordinate - reach)) for coordinate in at)
+    x1, y1 = (int(np.ceil(coordinate + reach)) + 1 for coordinate in at)
     x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1, values.shape[1]), min(y1, values.shape[0])
     part = values[y0:y1, x0:x1].astype(np.float64) * (-1.0 if dark else 1.0)
     y, x = np.mgrid[y0:y1, x0:x1]

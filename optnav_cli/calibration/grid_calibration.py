@@ -87,7 +87,7 @@ class GridCalibration:
 
     @property
     def focal_error(self) -> float:
-        """Of the focal length, 1 sigma, relative."""
+        """Relative error of the focal length, 1 sigma."""
         return float(np.sqrt(self.covariance[0, 0]))
 
 
@@ -106,45 +106,47 @@ class GridModel:
         self.variance = DOT_PX**2
 
     def linearise(self, state: FloatArray) -> Linearisation:
-        """Residuals and OpenCV's derivatives."""
+        """Linearise by OpenCV's derivatives."""
         pose = state[self.first : self.first + 6]
-        matrix, terms = _opencv_lens(state)
-        found, jacobian = cv2.projectPoints(self.points, pose[:3], pose[3:], matrix, terms)[:2]
-        whole = np.zeros((2 * len(self.pixels), self._unknowns))
-        whole[:, self.first : self.first + 6] = jacobian[:, :6]
-        whole[:, FOCAL] = jacobian[:, 6:8] @ np.full(2, matrix[0, 0])
-        whole[:, CENTRE : CENTRE + 2] = jacobian[:, 8:10]
-        whole[:, [K1, K2]] = jacobian[:, 10:12]
-        residuals = (self.pixels - found.reshape(-1, 2)).ravel()
-        return linearised(residuals, whole, np.full(residuals.size, 1.0 / self.variance))
+        matrix, terms = _build_opencv_lens(state)
+        projected, jacobian = cv2.projectPoints(self.points, pose[:3], pose[3:], matrix, terms)[:2]
+        jacobian_of_all = np.zeros((2 * len(self.pixels), self._unknowns))
+        jacobian_of_all[:, self.first : self.first + 6] = jacobian[:, :6]
+        jacobian_of_all[:, FOCAL] = jacobian[:, 6:8] @ np.full(2, matrix[0, 0])
+        jacobian_of_all[:, CENTRE : CENTRE + 2] = jacobian[:, 8:10]
+        jacobian_of_all[:, [K1, K2]] = jacobian[:, 10:12]
+        residuals = (self.pixels - projected.reshape(-1, 2)).ravel()
+        return linearised(residuals, jacobian_of_all, np.full(residuals.size, 1.0 / self.variance))
 
-    def pose(self, focal_px: float, centre: FloatArray) -> tuple[float, FloatArray]:
-        """Squared residuals and the pose (6,) of a pinhole."""
+    def solve_pose(self, focal_px: float, centre: FloatArray) -> tuple[float, FloatArray]:
+        """Solve the pose (6,) of a pinhole; return the squared residuals, too."""
         matrix = np.array([[focal_px, 0.0, centre[0]], [0.0, focal_px, centre[1]], [0.0, 0.0, 1.0]])
-        done, turn, place = cv2.solvePnP(
+        done, turn, translation = cv2.solvePnP(
             self.points, self.pixels, matrix, np.zeros(4), flags=cv2.SOLVEPNP_IPPE
         )
-        if not done or not place[2, 0] > 0.0:
+        if not done or not translation[2, 0] > 0.0:
             return np.inf, np.zeros(6)
-        seen = cv2.projectPoints(self.points, turn, place, matrix, np.zeros(4))[0].reshape(-1, 2)
+        seen = cv2.projectPoints(self.points, turn, translation, matrix, np.zeros(4))[0].reshape(
+            -1, 2
+        )
         cost = float(np.sum((seen - self.pixels) ** 2))
-        return cost, np.concatenate([turn.ravel(), place.ravel()])
+        return cost, np.concatenate([turn.ravel(), translation.ravel()])
 
 
 class DistanceModel:
     """A measured distance of the middle of the first grid."""
 
     def __init__(self, distance: GridDistance, unknowns: int) -> None:
-        self._measure_limb_distance, self._unknowns = distance, unknowns
+        self._distance, self._unknowns = distance, unknowns
 
     def linearise(self, state: FloatArray) -> Linearisation:
-        """The measurement at a state."""
-        place = state[LENS + 3 : LENS + 6]
-        length = float(np.linalg.norm(place))
+        """Linearise the measurement at a state."""
+        translation = state[LENS + 3 : LENS + 6]
+        length = float(np.linalg.norm(translation))
         jacobian = np.zeros((1, self._unknowns))
-        jacobian[0, LENS + 3 : LENS + 6] = place / length
-        off = np.array([self._measure_limb_distance.value_mm - length])
-        return linearised(off, jacobian, np.array([self._measure_limb_distance.sigma_mm**-2.0]))
+        jacobian[0, LENS + 3 : LENS + 6] = translation / length
+        off = np.array([self._distance.value_mm - length])
+        return linearised(off, jacobian, np.array([self._distance.sigma_mm**-2.0]))
 
 
 def calibrate_by_grids(
@@ -154,7 +156,7 @@ def calibrate_by_grids(
     kinds: Sequence[Common],
     distance: GridDistance | None = None,
 ) -> GridCalibration:
-    """The lens that the dots of pictures fit.
+    """Fit the lens to the dots of pictures.
 
     blank  a camera with the name and the size of the pictures
     kinds  what to solve for: FOCAL, CENTRE, DISTORTION; the others stay as their priors have them
@@ -163,8 +165,8 @@ def calibrate_by_grids(
     length open by over 10 %.
     """
     models = [GridModel(view, spacing_mm, n, len(views)) for n, view in enumerate(views)]
-    start = _start(models, blank, distance)
-    sigmas = _prior_sigmas(blank, kinds)
+    start = _start_state(models, blank, distance)
+    sigmas = _compute_prior_sigmas(blank, kinds)
     priors: list[Model[FloatArray]] = [VectorPrior(0, start[:LENS], sigmas, len(start))]
     if distance is not None:
         priors.append(DistanceModel(distance, len(start)))
@@ -186,7 +188,7 @@ def calibrate_by_grids(
             "sheet",
             ReasonCode.POINTS_DISAGREE,
         )
-    numbers = _numbers(blank.name, sigmas, kinds)
+    numbers = _list_numbers(blank.name, sigmas, kinds)
     chosen = [number for number, sigma in enumerate(sigmas) if sigma > HELD]
     covariance = estimate.covariance
     if FOCAL in chosen and not np.sqrt(covariance[FOCAL, FOCAL]) < MAX_FOCAL_SIGMA:
@@ -199,7 +201,7 @@ def calibrate_by_grids(
     poses = estimate.state[LENS:].reshape(-1, 6)
     normals = np.array([cv2.Rodrigues(pose[:3])[0][:, 2] for pose in poses])
     return GridCalibration(
-        _camera(blank, estimate.state, covariance, kinds),
+        _make_camera(blank, estimate.state, covariance, kinds),
         numbers,
         covariance[np.ix_(chosen, chosen)],
         float(np.sqrt(models[0].variance)),
@@ -207,25 +209,27 @@ def calibrate_by_grids(
         after,
         np.linalg.norm(poses[:, 3:], axis=1),
         np.degrees(np.arccos(np.clip(np.abs(normals[:, 2]), 0.0, 1.0))),
-        _focal_distance(covariance, estimate.state),
-        _misfit(distance, estimate.state, covariance),
+        _correlate_focal_distance(covariance, estimate.state),
+        _compute_misfit(distance, estimate.state, covariance),
     )
 
 
-def _opencv_lens(state: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _build_opencv_lens(state: FloatArray) -> tuple[FloatArray, FloatArray]:
     focal = float(np.exp(state[FOCAL]))
     x, y = state[CENTRE : CENTRE + 2]
     matrix = np.array([[focal, 0.0, x], [0.0, focal, y], [0.0, 0.0, 1.0]])
     return matrix, np.array([state[K1], state[K2], 0.0, 0.0, 0.0])
 
 
-def _start(models: Sequence[GridModel], blank: Camera, distance: GridDistance | None) -> FloatArray:
-    """The pinhole, about the middle of the picture, of least residuals; its poses of the grids."""
+def _start_state(
+    models: Sequence[GridModel], blank: Camera, distance: GridDistance | None
+) -> FloatArray:
+    """Start at the pinhole of least residuals, about the middle of the picture."""
     centre = 0.5 * np.array([blank.width_px - 1.0, blank.height_px - 1.0])
-    best, found = np.inf, np.empty(0)
+    best, state = np.inf, np.empty(0)
     for sides in FOCAL_SIDES:
         focal = float(sides * max(blank.shape))
-        poses = [model.pose(focal, centre) for model in models]
+        poses = [model.solve_pose(focal, centre) for model in models]
         cost = sum(part for part, _ in poses)
         if distance is not None and np.isfinite(cost):
             # what the dots leave open, the distance tells: within a tenth
@@ -234,14 +238,14 @@ def _start(models: Sequence[GridModel], blank: Camera, distance: GridDistance | 
         if cost < best:
             best = cost
             lens = [np.log(focal), *centre, 0.0, 0.0]
-            found = np.concatenate([lens, *(pose for _, pose in poses)])
-    if not found.size:
+            state = np.concatenate([lens, *(pose for _, pose in poses)])
+    if not state.size:
         raise ITERATION.undetermined.error()
-    return found
+    return state
 
 
-def _prior_sigmas(blank: Camera, kinds: Sequence[Common]) -> FloatArray:
-    """(LENS,) of the numbers of the lens; HELD for what is not solved for."""
+def _compute_prior_sigmas(blank: Camera, kinds: Sequence[Common]) -> FloatArray:
+    """Return prior sigmas (LENS,) of the numbers of the lens; HELD for what is not solved for."""
     sigmas = np.full(LENS, HELD)
     if Common.FOCAL in kinds:
         sigmas[FOCAL] = FOCAL_SIGMA
@@ -252,7 +256,9 @@ def _prior_sigmas(blank: Camera, kinds: Sequence[Common]) -> FloatArray:
     return sigmas
 
 
-def _numbers(camera: str, sigmas: FloatArray, kinds: Sequence[Common]) -> tuple[CommonNumber, ...]:
+def _list_numbers(
+    camera: str, sigmas: FloatArray, kinds: Sequence[Common]
+) -> tuple[CommonNumber, ...]:
     names = (
         (Common.FOCAL, ""),
         (Common.CENTRE, "x"),
@@ -267,10 +273,10 @@ def _numbers(camera: str, sigmas: FloatArray, kinds: Sequence[Common]) -> tuple[
     )
 
 
-def _camera(
+def _make_camera(
     blank: Camera, state: FloatArray, covariance: FloatArray, kinds: Sequence[Common]
 ) -> Camera:
-    """The camera as found, with the errors of its focal length and principal point."""
+    """Make the camera found, with the errors of its focal length and principal point."""
     bent = Common.DISTORTION in kinds
     sigmas = np.sqrt(np.diag(covariance)[: CENTRE + 2])
     return Camera(
@@ -287,27 +293,27 @@ def _camera(
     )
 
 
-def _distance_row(state: FloatArray) -> FloatArray:
-    """(k,) derivative of the distance of the first grid."""
+def _differentiate_distance(state: FloatArray) -> FloatArray:
+    """Return the derivative (k,) of the distance of the first grid."""
     row = np.zeros(len(state))
-    place = state[LENS + 3 : LENS + 6]
-    row[LENS + 3 : LENS + 6] = place / np.linalg.norm(place)
+    translation = state[LENS + 3 : LENS + 6]
+    row[LENS + 3 : LENS + 6] = translation / np.linalg.norm(translation)
     return row
 
 
-def _focal_distance(covariance: FloatArray, state: FloatArray) -> float:
-    row = _distance_row(state)
+def _correlate_focal_distance(covariance: FloatArray, state: FloatArray) -> float:
+    row = _differentiate_distance(state)
     both = np.sqrt(covariance[FOCAL, FOCAL] * (row @ covariance @ row))
     return float(row @ covariance[FOCAL] / both) if both > 0.0 else 0.0
 
 
-def _misfit(
+def _compute_misfit(
     distance: GridDistance | None, state: FloatArray, covariance: FloatArray
 ) -> float | None:
-    """Residual of a measured distance in units of its own sigma less what the fit takes up."""
+    """Compute the residual of a measured distance over its sigma, less what the fit takes up."""
     if distance is None:
         return None
-    row = _distance_row(state)
+    row = _differentiate_distance(state)
     left = distance.sigma_mm**2 - float(row @ covariance @ row)
     off = distance.value_mm - float(np.linalg.norm(state[LENS + 3 : LENS + 6]))
     # nothing is left where the distance alone tells the focal length

@@ -21,7 +21,7 @@ from optnav_cli.calibration.grid_calibration import (
     calibrate_by_grids,
 )
 from optnav_cli.calibration.job import CALIBRATION_JSON, KIND, RESIDUALS_CSV, STAGE
-from optnav_cli.calibration.separability import not_told_apart, tied_pairs
+from optnav_cli.calibration.separability import find_inseparable, find_tied_pairs
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.estimation.models.common import Common
@@ -29,7 +29,7 @@ from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.tables import CALIBRATION_RESIDUALS
 from optnav_cli.output.manifest import write_manifest
 from optnav_cli.output.run_folder import CAMERAS
-from optnav_cli.output.wording import json_text, table_lines
+from optnav_cli.output.wording import align_table, format_json
 
 UNSEEN_SHARE = 0.9  # of its prior's sigma: a number of which the pictures tell hardly anything
 WEAK_FOCAL = 0.003  # relative error of a focal length that people should know of
@@ -61,47 +61,48 @@ class GridInputs:
 class GridResult:
     """A calibration by grids, the pictures that it rests on, and the others with their reasons."""
 
-    found: GridCalibration
+    calibration: GridCalibration
     files: tuple[str, ...]
     dots: tuple[GridDots, ...]
     skipped: tuple[str, ...]
 
     @property
     def notes(self) -> list[str]:
-        """What the pictures tell little of, in words."""
-        found, notes = self.found, [f"left out: {reason}" for reason in self.skipped]
-        sigmas = np.sqrt(np.diag(found.covariance))
-        for number, sigma in zip(found.numbers, sigmas, strict=True):
+        """Notes on what the pictures hardly observe."""
+        calibration, notes = self.calibration, [f"left out: {reason}" for reason in self.skipped]
+        sigmas = np.sqrt(np.diag(calibration.covariance))
+        for number, sigma in zip(calibration.numbers, sigmas, strict=True):
             if sigma > UNSEEN_SHARE * number.prior_sigma:
                 notes.append(f"{number.label} is not observed: it stays about where it began")
-        if len(self.files) == 1 and abs(found.focal_distance) > TIED:
+        if len(self.files) == 1 and abs(calibration.focal_distance) > TIED:
             notes.append(
                 "one picture hardly tells the focal length from the distance of the grid "
-                f"(correlation {abs(found.focal_distance):.3f}, tilt {found.tilts_deg[0]:.0f} deg)"
+                f"(correlation {abs(calibration.focal_distance):.3f}, "
+                f"tilt {calibration.tilts_deg[0]:.0f} deg)"
             )
-        if found.focal_error > WEAK_FOCAL:
+        if calibration.focal_error > WEAK_FOCAL:
             notes.append(
-                f"the focal length is known to {100.0 * found.focal_error:.1f} % only: tilt the "
-                "grid by 20 to 40 deg and take several pictures"
+                f"the focal length is known to {100.0 * calibration.focal_error:.1f} % only: "
+                "tilt the grid by 20 to 40 deg and take several pictures"
             )
-        focal = {found.camera.name: found.camera.focal_length_px}
-        for group in not_told_apart(found.numbers, found.covariance):
-            notes.append(f"{group.words().split(':')[0]}: take pictures with the grid turned")
-        pairs = tied_pairs(found.numbers, found.covariance, focal)
-        return notes + [pair.words() for pair in pairs]
+        focal = {calibration.camera.name: calibration.camera.focal_length_px}
+        for group in find_inseparable(calibration.numbers, calibration.covariance):
+            notes.append(f"{group.describe().split(':')[0]}: take pictures with the grid turned")
+        pairs = find_tied_pairs(calibration.numbers, calibration.covariance, focal)
+        return notes + [pair.describe() for pair in pairs]
 
     def rows(self) -> list[dict[str, object]]:
-        """One a number of the lens, as in calibrations in flight."""
-        found, camera = self.found, self.found.camera
-        sigmas = np.sqrt(np.diag(found.covariance))
+        """Build a row per number of the lens, like those of calibrations in flight."""
+        calibration, camera = self.calibration, self.calibration.camera
+        sigmas = np.sqrt(np.diag(calibration.covariance))
         together = {
-            place
-            for group in not_told_apart(found.numbers, found.covariance)
-            for place in group.places
+            index
+            for group in find_inseparable(calibration.numbers, calibration.covariance)
+            for index in group.places
         }
         rows: list[dict[str, object]] = []
-        for place, number in enumerate(found.numbers):
-            value, per, zero, unit = _written(number.kind, number.axis, camera)
+        for index, number in enumerate(calibration.numbers):
+            value, per, zero, unit = _describe_number(number.kind, number.axis, camera)
             rows.append(
                 {
                     "name": number.kind.value,
@@ -109,56 +110,63 @@ class GridResult:
                     "camera": camera.name,
                     "value": value,
                     "change": value - zero,
-                    "sigma": per * float(sigmas[place]),
+                    "sigma": per * float(sigmas[index]),
                     "prior_sigma": per * number.prior_sigma,
                     "unit": unit,
-                    "observed": bool(sigmas[place] <= UNSEEN_SHARE * number.prior_sigma),
-                    "told_apart": place not in together,
+                    "observed": bool(sigmas[index] <= UNSEEN_SHARE * number.prior_sigma),
+                    "told_apart": index not in together,
                 }
             )
         return rows
 
     def document(self) -> dict[str, object]:
-        """calibration.json."""
-        found = self.found
-        sigmas = np.sqrt(np.diag(found.covariance))
-        dots = sum(len(part) for part in found.after)
+        """Build calibration.json."""
+        calibration = self.calibration
+        sigmas = np.sqrt(np.diag(calibration.covariance))
+        dots = sum(len(part) for part in calibration.after)
         return {
             "numbers": self.rows(),
-            "correlations": found.covariance / np.outer(sigmas, sigmas),
+            "correlations": calibration.covariance / np.outer(sigmas, sigmas),
             "not_told_apart": [],
             "notes": self.notes,
             "frames": len(self.files),
             "matches": dots,
             "matches_used": dots,
-            "sigma_px": found.sigma_px,
-            "residual_rms_px": {"before": _rms(found.before), "after": _rms(found.after)},
+            "sigma_px": calibration.sigma_px,
+            "residual_rms_px": {
+                "before": _compute_rms(calibration.before),
+                "after": _compute_rms(calibration.after),
+            },
             "grids": [
                 {"file": name, "columns": dot.size[0], "rows": dot.size[1]}
                 | {"distance_mm": float(distance), "tilt_deg": float(tilt)}
                 for name, dot, distance, tilt in zip(
-                    self.files, self.dots, found.distances_mm, found.tilts_deg, strict=True
+                    self.files,
+                    self.dots,
+                    calibration.distances_mm,
+                    calibration.tilts_deg,
+                    strict=True,
                 )
             ],
         }
 
     def lines(self) -> list[str]:
-        """A summary for people."""
-        found = self.found
+        """List the result for people."""
+        calibration = self.calibration
         table = [("", "value", "sigma", "")]
         for row in self.rows():
             label = f"{row['name']} {row['axis']}".strip()
             table.append((label, f"{row['value']:.7g}", f"{row['sigma']:.2g}", str(row["unit"])))
         grids: list[tuple[str, ...]] = [("picture", "dots", "distance, mm", "tilt, deg")]
         for name, dot, distance, tilt in zip(
-            self.files, self.dots, found.distances_mm, found.tilts_deg, strict=True
+            self.files, self.dots, calibration.distances_mm, calibration.tilts_deg, strict=True
         ):
             size = f"{dot.size[0]} x {dot.size[1]}"
             grids.append((name, size, f"{distance:.1f}", f"{tilt:.1f}"))
         return [
-            *table_lines(table, left=(0, 3)),
-            *table_lines(grids, left=(0,)),
-            f"residuals, rms a coordinate: {_rms(found.after):.3f} px",
+            *align_table(table, left=(0, 3)),
+            *align_table(grids, left=(0,)),
+            f"residuals, rms a coordinate: {_compute_rms(calibration.after):.3f} px",
             *self.notes,
         ]
 
@@ -198,13 +206,13 @@ def calibrate_grid(
         views = [GridView(dot.pixels, dot.places) for dot in dots]
         # the distance is that of the first picture named: of another one it says nothing
         distance = given.distance if files[0] == given.pictures[0].name else None
-        found = calibrate_by_grids(blank, views, given.spacing_mm, kinds, distance)
-        _check_distance(found, blank, views, given, kinds)
-        result = GridResult(found, tuple(files), tuple(dots), tuple(skipped))
-        with replacing_folder(output, KIND) as place:
-            _write(place, result)
+        calibration = calibrate_by_grids(blank, views, given.spacing_mm, kinds, distance)
+        _check_distance(calibration, blank, views, given, kinds)
+        result = GridResult(calibration, tuple(files), tuple(dots), tuple(skipped))
+        with replacing_folder(output, KIND) as work:
+            _write(work, result)
             write_manifest(
-                place,
+                work,
                 KIND,
                 command="calibrate",
                 options={
@@ -226,14 +234,14 @@ def calibrate_grid(
 
 
 def _check_distance(
-    found: GridCalibration,
+    calibration: GridCalibration,
     blank: Camera,
     views: Sequence[GridView],
     given: GridInputs,
     kinds: Sequence[Common],
 ) -> None:
     """Raise DataError where the tilt of the grids tells another distance than the one measured."""
-    misfit = found.distance_misfit
+    misfit = calibration.distance_misfit
     if misfit is None or abs(misfit) <= MAX_DISTANCE_MISFIT or given.distance is None:
         return
     alone = calibrate_by_grids(blank, views, given.spacing_mm, kinds)
@@ -246,12 +254,12 @@ def _check_distance(
     )
 
 
-def _rms(parts: Sequence[FloatArray]) -> float:
+def _compute_rms(parts: Sequence[FloatArray]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
-def _written(kind: Common, axis: str, camera: Camera) -> tuple[float, float, float, str]:
-    """A number's value, how many of its unit make one of the state's, what it began at, its unit.
+def _describe_number(kind: Common, axis: str, camera: Camera) -> tuple[float, float, float, str]:
+    """Return a number's value, its unit per that of the state, where it began, its unit's name.
 
     A focal length begins at the longer side, as nothing is known of it.
     """
@@ -266,19 +274,19 @@ def _written(kind: Common, axis: str, camera: Camera) -> tuple[float, float, flo
 
 
 def _write(place: Path, result: GridResult) -> None:
-    """Fill the folder but for its manifest."""
-    found, camera = result.found, result.found.camera
+    """Write the folder but for its manifest."""
+    calibration, camera = result.calibration, result.calibration.camera
     (place / CAMERAS).mkdir()
     write_camera(place / CAMERAS, camera)
-    (place / CALIBRATION_JSON).write_text(json_text(result.document()) + "\n", encoding="utf-8")
+    (place / CALIBRATION_JSON).write_text(format_json(result.document()) + "\n", encoding="utf-8")
     cells: list[dict[str, object]] = []
     for name, dots, before, after in zip(
-        result.files, result.dots, found.before, found.after, strict=True
+        result.files, result.dots, calibration.before, calibration.after, strict=True
     ):
         for number, (x, y) in enumerate(dots.pixels):
-            one: dict[str, object] = {"file": name, "camera": camera.name, "id": number}
-            one |= {"measured_x_px": x, "measured_y_px": y, "weight": 1.0}
-            one |= {"before_x_px": before[number, 0], "before_y_px": before[number, 1]}
-            one |= {"after_x_px": after[number, 0], "after_y_px": after[number, 1]}
-            cells.append(one)
+            cells_of_dot: dict[str, object] = {"file": name, "camera": camera.name, "id": number}
+            cells_of_dot |= {"measured_x_px": x, "measured_y_px": y, "weight": 1.0}
+            cells_of_dot |= {"before_x_px": before[number, 0], "before_y_px": before[number, 1]}
+            cells_of_dot |= {"after_x_px": after[number, 0], "after_y_px": after[number, 1]}
+            cells.append(cells_of_dot)
     CALIBRATION_RESIDUALS.write(place / RESIDUALS_CSV, cells)

@@ -20,11 +20,11 @@ from catalog.files import hash_file, replacing_folder
 from catalog.geometry.rotations import ARCSEC
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
-from optnav_cli.calibration.adjust_job import adjusted_rows, residual_stages
-from optnav_cli.calibration.adjusted_folder import AdjustedRow, StatedResiduals, corrected_camera
+from optnav_cli.calibration.adjust_job import collect_rows, compute_stated_residuals
+from optnav_cli.calibration.adjusted_folder import AdjustedRow, StatedResiduals, correct_camera
 from optnav_cli.calibration.adjustment import AdjustedFrame, Adjustment, adjust
-from optnav_cli.calibration.motion import frame_motions
-from optnav_cli.calibration.separability import Direction, not_told_apart, tied_pairs
+from optnav_cli.calibration.motion import estimate_frame_motions
+from optnav_cli.calibration.separability import Direction, find_inseparable, find_tied_pairs
 from optnav_cli.calibration.settings import CalibrateSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import write_camera
@@ -34,9 +34,9 @@ from optnav_cli.frames.frames import Frame, picture_path
 from optnav_cli.frames.tables import CALIBRATION_RESIDUALS
 from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs
-from optnav_cli.output.manifest import hash_files, unfinished, write_manifest
+from optnav_cli.output.manifest import hash_files, open_workspace, write_manifest
 from optnav_cli.output.run_folder import CAMERAS, read_run
-from optnav_cli.output.wording import json_text, table_lines
+from optnav_cli.output.wording import align_table, format_json
 
 KIND, STAGE = "calibration", "calibrate"
 RESIDUALS_CSV, CALIBRATION_JSON = "residuals.csv", "calibration.json"
@@ -54,7 +54,7 @@ KINDS = (Common.FOCAL, Common.CENTRE, Common.DISTORTION, Common.MOUNTING, Common
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What came of a calibration.
+    """Result of a calibration.
 
     sigma_px     of a match, a coordinate, as the adjustment took it
     before_px, after_px  residuals of the matches kept, rms a coordinate
@@ -71,25 +71,25 @@ class Calibration:
 
     @property
     def directions(self) -> list[Direction]:
-        """What the frames do not tell apart."""
+        """Combinations of numbers that the frames do not separate."""
         common = self.adjustment.common
-        return not_told_apart(common.numbers, self.adjustment.covariance)
+        return find_inseparable(common.numbers, self.adjustment.covariance)
 
     @property
     def notes(self) -> list[str]:
-        """What the frames tell little of, in words."""
+        """Notes on what the frames hardly observe."""
         common, focal = self.adjustment.common, {}
         for camera in self.cameras.values():
             focal[camera.name] = camera.focal_length_px
-        groups = self.adjustment.not_separable()
+        groups = self.adjustment.find_inseparable()
         unseen = dict.fromkeys(name for names in groups for name in names)
-        found = [f"{name} is not observed" for name in unseen]
-        found += [direction.words() for direction in self.directions]
-        pairs = tied_pairs(common.numbers, self.adjustment.covariance, focal)
-        return self._refuted() + found + [pair.words() for pair in pairs]
+        notes = [f"{name} is not observed" for name in unseen]
+        notes += [direction.describe() for direction in self.directions]
+        pairs = find_tied_pairs(common.numbers, self.adjustment.covariance, focal)
+        return self._list_contradictions() + notes + [pair.describe() for pair in pairs]
 
-    def _refuted(self) -> list[str]:
-        """What says that something wrong was not solved for; its error is in no sigma here."""
+    def _list_contradictions(self) -> list[str]:
+        """List signs that something wrong was not solved for; its error is in no sigma here."""
         off = self.adjustment.off_statements
         if off < MAX_OFF_STATEMENTS:
             return []
@@ -103,38 +103,38 @@ class Calibration:
         ]
 
     def rows(self) -> list[dict[str, object]]:
-        """One a number: its value as people write it, its sigma and whether it is observed."""
+        """Build a row per number: value, sigma, and whether it is observed."""
         common, sigmas = self.adjustment.common, self.adjustment.sigmas
-        unseen = {label for labels in self.adjustment.not_separable() for label in labels}
-        together = {place for one in self.directions for place in one.places}
-        found: list[dict[str, object]] = []
-        for place, (number, value) in enumerate(zip(common.numbers, common.values, strict=True)):
+        unseen = {label for labels in self.adjustment.find_inseparable() for label in labels}
+        together = {index for direction in self.directions for index in direction.places}
+        rows: list[dict[str, object]] = []
+        for index, (number, value) in enumerate(zip(common.numbers, common.values, strict=True)):
             camera = self.cameras[number.camera]
-            unit, per, zero = _written(number, camera)
-            found.append(
+            unit, per, zero = _describe_unit(number, camera)
+            rows.append(
                 {
                     "name": number.kind.value,
                     "axis": number.axis,
                     "camera": number.camera,
                     "value": zero + per * float(value),
                     "change": per * float(value),
-                    "sigma": per * float(sigmas[place]),
+                    "sigma": per * float(sigmas[index]),
                     "prior_sigma": per * number.prior_sigma,
                     "unit": unit,
                     "observed": number.label not in unseen,
-                    "told_apart": place not in together,
+                    "told_apart": index not in together,
                 }
             )
-        return found
+        return rows
 
     def document(self) -> dict[str, object]:
-        """calibration.json."""
+        """Build calibration.json."""
         covariance, sigmas = self.adjustment.covariance, self.adjustment.sigmas
         return {
             "numbers": self.rows(),
             "correlations": covariance / np.outer(sigmas, sigmas),
             "not_told_apart": [
-                {"numbers": d.places, "labels": d.labels, "words": d.words()}
+                {"numbers": d.places, "labels": d.labels, "words": d.describe()}
                 for d in self.directions
             ],
             "notes": self.notes,
@@ -148,7 +148,7 @@ class Calibration:
         }
 
     def lines(self) -> list[str]:
-        """A summary for people."""
+        """List the result for people."""
         head = ("", "", "value", "change", "sigma", "")
         table = [
             (
@@ -163,7 +163,7 @@ class Calibration:
         ]
         return [
             f"calibrated by {self.used} of {self.matches} matches in {self.frames} frames",
-            *table_lines([head, *table], left=(0, 1, 5)),
+            *align_table([head, *table], left=(0, 1, 5)),
             f"residuals, rms a coordinate, px: {self.before_px:.2f} as stated, "
             f"{self.after_px:.2f} after",
             *self.notes,
@@ -189,7 +189,7 @@ def calibrate_folder(
     check_apart(output, [given.pictures, *given.catalogs])
     folder = read_folder(given.pictures, given.kernels)
     _check_stated(folder, kinds)
-    with logged_stage(STAGE), unfinished(output, KIND) as workspace:
+    with logged_stage(STAGE), open_workspace(output, KIND) as workspace:
         cameras: Mapping[str, Camera] = folder.cameras
         for number in range(PASSES):
             wide = workspace.folder / f"pictures-{number}"
@@ -197,16 +197,16 @@ def calibrate_folder(
             run = workspace.folder / f"run-{number}"
             with suppress(NothingToDoError):  # said below, with what a calibration wants
                 navigate_folder(replace(given, pictures=wide), run, progress, workers=workers)
-            rows = _stated_rows(adjusted_rows([read_run(run)], dict(cameras)), folder)
+            rows = _add_statements(collect_rows([read_run(run)], dict(cameras)), folder)
             result, stages = solve_calibration(rows, kinds, settings)
-            found = {
-                c.name: corrected_camera(c, result.adjustment) for c in result.cameras.values()
+            corrected = {
+                c.name: correct_camera(c, result.adjustment) for c in result.cameras.values()
             }
-            cameras = {**folder.cameras, **found}
-        with replacing_folder(output, KIND) as place:
-            write_calibration(place, rows, result, stages)
+            cameras = {**folder.cameras, **corrected}
+        with replacing_folder(output, KIND) as work:
+            write_calibration(work, rows, result, stages)
             write_manifest(
-                place,
+                work,
                 KIND,
                 command="calibrate",
                 options={"solve": [kind.value for kind in kinds]},
@@ -226,20 +226,20 @@ def calibrate_folder(
 def solve_calibration(
     rows: Sequence[AdjustedRow], kinds: Sequence[Common], settings: CalibrateSettings
 ) -> tuple[Calibration, list[StatedResiduals]]:
-    """Adjust frames with their statements, and the residuals of each before."""
+    """Adjust frames with their statements; return the residuals of each before, too."""
     frames = [row.adjusted for row in rows if row.adjusted is not None]
     check_points(frames)
     cameras = {frame.camera.name: frame.camera for frame in frames}
     known = {name: camera for name, camera in cameras.items() if isinstance(camera, Camera)}
-    numbers = settings.numbers(list(kinds), sorted(known))
+    numbers = settings.list_numbers(list(kinds), sorted(known))
     adjustment = adjust(frames, numbers, by_direction=True)
     # matches were weighed by residuals of a wrong lens: now by those of the right one
     for _ in range(WEIGHINGS):
-        variance = _variance(adjustment, len(numbers))
-        frames = [_weighed(frame, variance) for frame in frames]
+        variance = _estimate_variance(adjustment, len(numbers))
+        frames = [_replace_covariances(frame, variance) for frame in frames]
         adjustment = adjust(frames, numbers, by_direction=True)
-    stages = [residual_stages(frame, adjustment.common) for frame in frames]
-    kept = [found.weights > 0.0 for found in adjustment.frames]
+    stages = [compute_stated_residuals(frame, adjustment.common) for frame in frames]
+    kept = [result_of_frame.weights > 0.0 for result_of_frame in adjustment.frames]
     before = np.concatenate([s.stated[k] for s, k in zip(stages, kept, strict=True)])
     after = np.concatenate(
         [f.residuals_px[k] for f, k in zip(adjustment.frames, kept, strict=True)]
@@ -251,8 +251,8 @@ def solve_calibration(
         sum(len(frame.sightings) for frame in frames),
         int(sum(k.sum() for k in kept)),
         float(np.sqrt(variance)),
-        _rms(before),
-        _rms(after),
+        _compute_rms(before),
+        _compute_rms(after),
     )
     return result, stages
 
@@ -306,7 +306,7 @@ def _check_stated(folder: Folder, kinds: Sequence[Common]) -> None:
 def _write_wide(
     folder: Folder, place: Path, settings: CalibrateSettings, cameras: Mapping[str, Camera]
 ) -> None:
-    """A copy of a folder with some cameras, whose sigmas bear that they are not as they are."""
+    """Write a copy of a folder with other cameras, and sigmas wide enough for wrong ones."""
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir(parents=True)
     search = settings.search
@@ -333,15 +333,17 @@ def _write_wide(
     write_folder(place, folder.settings, cameras.values(), frames, folder.motion)
 
 
-def _stated_rows(rows: Sequence[AdjustedRow], folder: Folder) -> list[AdjustedRow]:
-    """The rows with what frames.csv states of them, as measurements."""
+def _add_statements(rows: Sequence[AdjustedRow], folder: Folder) -> list[AdjustedRow]:
+    """Add what frames.csv states of the rows, as measurements."""
     stated = {frame.file: frame for frame in folder.frames}
-    found: list[AdjustedRow] = list(rows)
+    updated: list[AdjustedRow] = list(rows)
     for name in folder.cameras:
-        own = [n for n, row in enumerate(rows) if row.frame.camera == name]
-        frames = [stated[rows[n].frame.file] for n in own]
-        motions = frame_motions([f.tdb_s or 0.0 for f in frames], [f.position_m for f in frames])
-        for number, frame, motion in zip(own, frames, motions, strict=True):
+        indices = [n for n, row in enumerate(rows) if row.frame.camera == name]
+        frames = [stated[rows[n].frame.file] for n in indices]
+        motions = estimate_frame_motions(
+            [f.tdb_s or 0.0 for f in frames], [f.position_m for f in frames]
+        )
+        for number, frame, motion in zip(indices, frames, motions, strict=True):
             adjusted = rows[number].adjusted
             if adjusted is None:
                 continue
@@ -355,12 +357,12 @@ def _stated_rows(rows: Sequence[AdjustedRow], folder: Folder) -> list[AdjustedRo
                 attitude_sigma_rad=frame.own_attitude_sigma_rad,
                 motion=motion,
             )
-            found[number] = replace(rows[number], frame=frame, adjusted=adjusted)
-    return found
+            updated[number] = replace(rows[number], frame=frame, adjusted=adjusted)
+    return updated
 
 
-def _variance(adjustment: Adjustment, numbers: int) -> float:
-    """Of a match's coordinate, px², by the residuals of the matches kept."""
+def _estimate_variance(adjustment: Adjustment, numbers: int) -> float:
+    """Estimate the variance of a match's coordinate, px², by the residuals of the matches kept."""
     total, free = 0.0, -float(numbers)
     for frame in adjustment.frames:
         kept = frame.weights > 0.0
@@ -370,18 +372,18 @@ def _variance(adjustment: Adjustment, numbers: int) -> float:
     return total / max(free, 1.0)
 
 
-def _weighed(frame: AdjustedFrame, variance: float) -> AdjustedFrame:
+def _replace_covariances(frame: AdjustedFrame, variance: float) -> AdjustedFrame:
     tiles = np.tile(np.eye(2) * variance, (len(frame.sightings), 1, 1))
     return replace(frame, sightings=replace(frame.sightings, covariances_px2=tiles))
 
 
-def _rms(residuals: FloatArray) -> float:
+def _compute_rms(residuals: FloatArray) -> float:
     finite = residuals[np.isfinite(residuals)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else 0.0
 
 
-def _written(number: CommonNumber, camera: Camera) -> tuple[str, float, float]:
-    """The unit that a number is written in, how many make one of the state's, and its zero."""
+def _describe_unit(number: CommonNumber, camera: Camera) -> tuple[str, float, float]:
+    """Return the unit that a number is written in, how many make the state's, and its zero."""
     x, y = camera.principal_point_px
     if number.kind == Common.FOCAL:
         return "px", camera.focal_length_px, camera.focal_length_px
@@ -398,23 +400,27 @@ def write_calibration(
     result: Calibration,
     stages: Sequence[StatedResiduals],
 ) -> None:
-    """Fill the folder but for its manifest."""
+    """Write the folder but for its manifest."""
     (place / CAMERAS).mkdir()
     for camera in result.cameras.values():
-        write_camera(place / CAMERAS, corrected_camera(camera, result.adjustment))
-    (place / CALIBRATION_JSON).write_text(json_text(result.document()) + "\n", encoding="utf-8")
+        write_camera(place / CAMERAS, correct_camera(camera, result.adjustment))
+    (place / CALIBRATION_JSON).write_text(format_json(result.document()) + "\n", encoding="utf-8")
     cells: list[dict[str, object]] = []
     solved = [row for row in rows if row.adjusted is not None]
-    for row, found, stage in zip(solved, result.adjustment.frames, stages, strict=True):
+    for row, frame_result, stage in zip(solved, result.adjustment.frames, stages, strict=True):
         for k, match in enumerate(row.matches):
-            one: dict[str, object] = {"file": row.frame.file, "camera": row.frame.camera}
-            one |= {"catalog": match.catalog, "id": match.cp_id, "weight": found.weights[k]}
+            cells_of_match: dict[str, object] = {"file": row.frame.file, "camera": row.frame.camera}
+            cells_of_match |= {
+                "catalog": match.catalog,
+                "id": match.cp_id,
+                "weight": frame_result.weights[k],
+            }
             for name, values in (
                 ("measured", match.measured_px),
                 ("before", stage.stated[k]),
-                ("after", found.residuals_px[k]),
+                ("after", frame_result.residuals_px[k]),
             ):
                 if values is not None and np.isfinite(values).all():
-                    one |= {f"{name}_x_px": values[0], f"{name}_y_px": values[1]}
-            cells.append(one)
+                    cells_of_match |= {f"{name}_x_px": values[0], f"{name}_y_px": values[1]}
+            cells.append(cells_of_match)
     CALIBRATION_RESIDUALS.write(place / RESIDUALS_CSV, cells)

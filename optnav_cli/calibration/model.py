@@ -18,7 +18,7 @@ K1_STEP = 1e-5  # pixels are linear in k1: any small step serves
 
 @dataclass(frozen=True, eq=False)
 class FrameMotion:
-    """How a ship moves about the time of a picture, body frame.
+    """Motion of a ship about the time of a picture, body frame.
 
     velocity_m_s  (3,);  turn_rad_s (3,) angular velocity of the ship, and its camera
     """
@@ -26,26 +26,26 @@ class FrameMotion:
     velocity_m_s: FloatArray
     turn_rad_s: FloatArray
 
-    def later(
+    def propagate(
         self, position_m: FloatArray | None, camera_from_body: Rotation | None, seconds: float
     ) -> tuple[FloatArray | None, Rotation | None, FloatArray, FloatArray]:
-        """Position and attitude some time later, and their change with it.
+        """Propagate position and attitude by some time; return their rates, too.
 
         The change of the attitude is a rotation vector in the camera frame, rad/s.
         """
-        place = None if position_m is None else position_m + self.velocity_m_s * seconds
+        position = None if position_m is None else position_m + self.velocity_m_s * seconds
         if camera_from_body is None:
-            return place, None, self.velocity_m_s, np.zeros(3)
+            return position, None, self.velocity_m_s, np.zeros(3)
         # the ship turns by w: what it sees turns the other way
         rate = -camera_from_body.apply(self.turn_rad_s)
         turn = Rotation.from_rotvec(rate * seconds) * camera_from_body
-        return place, turn, self.velocity_m_s, rate
+        return position, turn, self.velocity_m_s, rate
 
 
-def lens_columns(
+def differentiate_lens(
     camera: AdjustableCamera, common: CommonState, pose: Pose, places_m: FloatArray
 ) -> dict[Common, FloatArray]:
-    """Change of pixels (n, 2, k) with the numbers of a lens that are solved for.
+    """Return the change of pixels (n, 2, k) with the numbers of a lens that are solved for.
 
     camera  with its lens as found so far;  places_m (n, 3) of the points, body frame
     """
@@ -53,48 +53,48 @@ def lens_columns(
     if common.places(Common.CENTRE, camera.name).size:
         columns[Common.CENTRE] = np.tile(np.eye(2), (len(places_m), 1, 1))
     if common.places(Common.DISTORTION, camera.name).size:
-        away = pose.camera_from_body.apply(places_m - pose.position_m)
+        sights = pose.camera_from_body.apply(places_m - pose.position_m)
         ends = [
-            camera.with_lens(1.0, np.zeros(2), step).project_with_jacobian(away)[0]
+            camera.with_lens(1.0, np.zeros(2), step).project_with_jacobian(sights)[0]
             for step in (K1_STEP, -K1_STEP)
         ]
         columns[Common.DISTORTION] = ((ends[0] - ends[1]) / (2.0 * K1_STEP))[:, :, None]
     return columns
 
 
-def ground_covariances(
+def propagate_ground_errors(
     camera: AdjustableCamera, pose: Pose, places_m: FloatArray, sigma_m: float
 ) -> FloatArray:
-    """Covariances (n, 2, 2), px², that errors of control points' places make in the picture.
+    """Propagate errors of control points' places to covariances (n, 2, 2), px², in the picture.
 
     sigma_m  1 sigma a component. Each point of a frame errs by itself: its place is a nuisance
              that is eliminated by widening its pixels; what frames share of it is found afterwards
     """
     _, by_pose = predict(camera, pose, places_m)
     by_place = -by_pose[:, :, :3]
-    found: FloatArray = sigma_m**2 * np.einsum("nia,nja->nij", by_place, by_place)
-    return found
+    covariances: FloatArray = sigma_m**2 * np.einsum("nia,nja->nij", by_place, by_place)
+    return covariances
 
 
-def clustered_excess(sums: FloatArray, own: FloatArray) -> FloatArray:
-    """What the scores of points seen in several frames have beyond chance, (k, k).
+def estimate_clustered_excess(sums: FloatArray, chance: FloatArray) -> FloatArray:
+    """Estimate what the scores of points seen in several frames have beyond chance, (k, k).
 
     sums  (points, k) scores of each point, summed over its frames
     own   (k, k) what their products would be by chance
     Directions in which there is less than by chance count as chance.
     """
-    values, vectors = np.linalg.eigh(own)
+    values, vectors = np.linalg.eigh(chance)
     kept = values > 1e-12 * values.max(initial=0.0)
     root = vectors[:, kept] * np.sqrt(values[kept])
     inverse = vectors[:, kept] / np.sqrt(values[kept])
     ratios, turned = np.linalg.eigh(inverse.T @ (sums.T @ sums) @ inverse)
     back = root @ turned
-    found: FloatArray = back * np.maximum(ratios - 1.0, 0.0) @ back.T
-    return found
+    excess: FloatArray = back * np.maximum(ratios - 1.0, 0.0) @ back.T
+    return excess
 
 
-def slope_of_weights(weights: FloatArray) -> float:
-    """How much less scores of two numbers change with a state than Tukey's weights (n,) have it.
+def compute_weight_slope(weights: FloatArray) -> float:
+    """Compute the ratio of the change of scores with a state to Tukey's weights (n,).
 
     A larger residual has a smaller weight: along it the score w r changes by 5 w - 4 sqrt(w),
     across it by w. Normal matrices are made of w alone.

@@ -16,30 +16,32 @@ from optnav_cli.calibration.model import FrameMotion
 MAX_GAP_S = 120.0  # between neighbours: beyond, a parabola errs by metres a second
 
 
-def frame_motions(
+def estimate_frame_motions(
     times_s: Sequence[float], positions_m: Sequence[FloatArray | None]
 ) -> list[FrameMotion | None]:
-    """The motion about each frame; None where two neighbours near in time are missing.
+    """Estimate the motion about each frame; None where two neighbours near in time are missing.
 
     times_s      of the frames, in any order
     positions_m  (3,) as stated, body frame; None where not
     """
     order = [int(n) for n in np.argsort(times_s, kind="stable") if positions_m[n] is not None]
-    found: list[FrameMotion | None] = [None] * len(times_s)
+    motions: list[FrameMotion | None] = [None] * len(times_s)
     for here, number in enumerate(order):
-        near = _neighbours(order, here, times_s)
+        near = _find_neighbours(order, here, times_s)
         if len(near) < 3:
             continue
         after = np.array([times_s[n] - times_s[number] for n in near])
         places = np.array([positions_m[n] for n in near], dtype=np.float64)
         velocity = np.linalg.solve(np.vander(after, 3, increasing=True), places)[1]
-        place = np.asarray(positions_m[number], dtype=np.float64)
-        found[number] = FrameMotion(velocity, np.cross(place, velocity) / float(place @ place))
-    return found
+        position = np.asarray(positions_m[number], dtype=np.float64)
+        motions[number] = FrameMotion(
+            velocity, np.cross(position, velocity) / float(position @ position)
+        )
+    return motions
 
 
-def _neighbours(order: Sequence[int], here: int, times_s: Sequence[float]) -> list[int]:
-    """Three frames about one without a gap between them; fewer where there are not so many."""
+def _find_neighbours(order: Sequence[int], here: int, times_s: Sequence[float]) -> list[int]:
+    """Find three frames about one without a gap between them; fewer where there are not so many."""
     for first in (here - 1, here - 2, here):
         if first < 0 or first + 3 > len(order):
             continue

@@ -27,19 +27,19 @@ def is_calibration(folder: Path) -> bool:
     return (folder / CALIBRATION_JSON).is_file()
 
 
-def calibration_page(folder: Path) -> str:
-    """The page about the calibration in a folder. Raises DataError for a damaged one."""
+def build_calibration_page(folder: Path) -> str:
+    """Build the page about a calibration. Raises DataError for a damaged one."""
     try:
-        found = json.loads(read_input(folder / CALIBRATION_JSON))
-        numbers = _numbers(found["numbers"])
-        sigma, counts = found["residual_rms_px"], (found["matches_used"], found["matches"])
+        document = json.loads(read_input(folder / CALIBRATION_JSON))
+        numbers = _list_numbers(document["numbers"])
+        sigma, counts = document["residual_rms_px"], (document["matches_used"], document["matches"])
         words = (
-            f"By {counts[0]} of {counts[1]} matches in {found['frames']} frames. Residuals, rms a "
-            f"coordinate: {sigma['before']:.2f} px as stated, {sigma['after']:.2f} px after, "
-            f"{found['sigma_px']:.2f} px stated."
+            f"By {counts[0]} of {counts[1]} matches in {document['frames']} frames. Residuals, rms "
+            f"a coordinate: {sigma['before']:.2f} px as stated, {sigma['after']:.2f} px after, "
+            f"{document['sigma_px']:.2f} px stated."
         )
-        notes = [f"{note[:1].upper()}{note[1:]}." for note in found["notes"]]
-        correlations = _correlations(found["numbers"], np.array(found["correlations"]))
+        notes = [f"{note[:1].upper()}{note[1:]}." for note in document["notes"]]
+        correlations = _list_correlations(document["numbers"], np.array(document["correlations"]))
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise DataError(
             f"{folder / CALIBRATION_JSON}: is damaged ({error}); run `optnav calibrate` again"
@@ -48,22 +48,22 @@ def calibration_page(folder: Path) -> str:
         html.section("Numbers of the cameras", numbers, html.paragraph(words)),
         html.section("What is not told apart", *map(html.paragraph, notes or ["Nothing."])),
         html.section("Correlations", correlations),
-        html.section("Residuals", *_residuals(folder)),
+        html.section("Residuals", *_plot_residuals(folder)),
         html.section("Made from", html.listing(read_manifest(folder))),
     ]
     subtitle = "Lens, mounting and clock by control points."
     return html.page(f"Calibration {folder.resolve().name}", subtitle, sections)
 
 
-def _label(row: Mapping[str, Any]) -> str:
+def _format_label(row: Mapping[str, Any]) -> str:
     return f"{WORDS.get(row['name'], row['name'])} {row['axis']}".strip()
 
 
-def _numbers(rows: Sequence[Mapping[str, Any]]) -> Markup:
+def _list_numbers(rows: Sequence[Mapping[str, Any]]) -> Markup:
     header = ("number", "camera", "value", "change", "sigma", "unit", "told apart")
     table = [
         (
-            _label(row),
+            _format_label(row),
             str(row["camera"]),
             f"{row['value']:.7g}",
             f"{row['change']:.4g}",
@@ -76,22 +76,22 @@ def _numbers(rows: Sequence[Mapping[str, Any]]) -> Markup:
     return html.table(header, table, text_columns=2)
 
 
-def _correlations(rows: Sequence[Mapping[str, Any]], values: FloatArray) -> Markup:
-    header = ("", *(_label(row) for row in rows))
+def _list_correlations(rows: Sequence[Mapping[str, Any]], values: FloatArray) -> Markup:
+    header = ("", *(_format_label(row) for row in rows))
     table = [
-        (_label(row), *(f"{value:z.2f}" for value in line))
+        (_format_label(row), *(f"{value:z.2f}" for value in line))
         for row, line in zip(rows, values, strict=True)
     ]
     return html.table(header, table)
 
 
-def _residuals(folder: Path) -> list[Markup]:
-    """Clouds of the residuals of the matches kept, before and after."""
+def _plot_residuals(folder: Path) -> list[Markup]:
+    """Plot clouds of the residuals of the matches kept, before and after."""
     rows = [r for r in CALIBRATION_RESIDUALS.rows(folder / RESIDUALS_CSV) if r.number("weight")]
     drawn = []
     for name, words in (("before", "as stated"), ("after", "after the calibration")):
-        found = [r.vector((f"{name}_x_px", f"{name}_y_px")) for r in rows]
-        values = np.array([value for value in found if value is not None])
+        vectors = [r.vector((f"{name}_x_px", f"{name}_y_px")) for r in rows]
+        values = np.array([value for value in vectors if value is not None])
         if not len(values):
             continue
         middle = values.mean(axis=0)

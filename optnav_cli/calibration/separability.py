@@ -21,7 +21,7 @@ TIED_CORRELATION = 0.95
 
 @dataclass(frozen=True)
 class Direction:
-    """Numbers (their places) that move the picture alike; a pair has a correlation.
+    """Numbers (their places) that move the picture in the same way; a pair has a correlation.
 
     moves_px  1 sigma of what they do to the picture together; None where that is not one shift
     """
@@ -31,8 +31,8 @@ class Direction:
     correlation: float | None = None
     moves_px: float | None = None
 
-    def words(self) -> str:
-        """For people."""
+    def describe(self) -> str:
+        """Describe for people."""
         names = f"{', '.join(self.labels[:-1])} and {self.labels[-1]}"
         if self.correlation is None:
             return (
@@ -45,11 +45,11 @@ class Direction:
         return f"{names} move the picture alike (correlation {self.correlation:.3f}){moved}"
 
 
-def not_told_apart(numbers: Sequence[CommonNumber], covariance: FloatArray) -> list[Direction]:
-    """Directions in which the frames tell hardly more than a combination of several numbers."""
-    inflation, correlation = _inflation(covariance)
+def find_inseparable(numbers: Sequence[CommonNumber], covariance: FloatArray) -> list[Direction]:
+    """Find directions in which the frames observe only a combination of several numbers."""
+    inflation, correlation = _compute_inflation(covariance)
     left = [k for k in range(len(numbers)) if inflation[k] > MAX_INFLATION]
-    found = []
+    directions = []
     while left:
         group = {left[0]}
         for k in range(len(numbers)):
@@ -60,42 +60,47 @@ def not_told_apart(numbers: Sequence[CommonNumber], covariance: FloatArray) -> l
         left = [k for k in left if k not in group]
         if len(group) > 1:
             places = tuple(sorted(group))
-            found.append(Direction(places, tuple(numbers[k].label for k in places)))
-    return found
+            directions.append(Direction(places, tuple(numbers[k].label for k in places)))
+    return directions
 
 
-def tied_pairs(
+def find_tied_pairs(
     numbers: Sequence[CommonNumber], covariance: FloatArray, focal_px: dict[str, float]
 ) -> list[Direction]:
-    """Pairs of numbers whose errors nearly cancel in the picture."""
-    _, correlation = _inflation(covariance)
-    found = []
+    """Find pairs of numbers whose errors nearly cancel in the picture."""
+    _, correlation = _compute_inflation(covariance)
+    pairs = []
     for i in range(len(numbers)):
         for j in range(i + 1, len(numbers)):
             if abs(correlation[i, j]) < TIED_CORRELATION:
                 continue
             labels = numbers[i].label, numbers[j].label
-            moved = _moves_px(numbers[i], numbers[j], covariance[np.ix_([i, j], [i, j])], focal_px)
-            found.append(Direction((i, j), labels, float(correlation[i, j]), moved))
-    return found
+            moved = _propagate_to_picture(
+                numbers[i], numbers[j], covariance[np.ix_([i, j], [i, j])], focal_px
+            )
+            pairs.append(Direction((i, j), labels, float(correlation[i, j]), moved))
+    return pairs
 
 
-def _inflation(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Of each variance, by not knowing the other numbers; and the correlations (k, k)."""
+def _compute_inflation(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute the inflation of each variance by the other numbers, and the correlations (k, k)."""
     sigmas = np.sqrt(np.diag(covariance))
     correlation: FloatArray = covariance / np.outer(sigmas, sigmas)
     return np.diag(np.linalg.inv(correlation)), correlation
 
 
-def _moves_px(
-    one: CommonNumber, other: CommonNumber, covariance: FloatArray, focal_px: dict[str, float]
+def _propagate_to_picture(
+    first: CommonNumber, second: CommonNumber, covariance: FloatArray, focal_px: dict[str, float]
 ) -> float | None:
-    """What a shift of the principal point and a turn of the mounting do to the picture, px."""
-    if (one.kind, other.kind) != (Common.CENTRE, Common.MOUNTING) or one.camera != other.camera:
+    """Propagate a shift of the principal point and a turn of the mounting to the picture, px."""
+    if (first.kind, second.kind) != (
+        Common.CENTRE,
+        Common.MOUNTING,
+    ) or first.camera != second.camera:
         return None
     # a turn about y moves what is seen along x by f, one about x along y by -f
     sides = {("x", "y"): 1.0, ("y", "x"): -1.0}
-    if (one.axis, other.axis) not in sides:
+    if (first.axis, second.axis) not in sides:
         return None
-    effect = np.array([1.0, sides[one.axis, other.axis] * focal_px[one.camera]])
+    effect = np.array([1.0, sides[first.axis, second.axis] * focal_px[first.camera]])
     return float(np.sqrt(effect @ covariance @ effect))

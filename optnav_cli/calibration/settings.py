@@ -14,7 +14,7 @@ Wide = Annotated[float, Meta(gt=0.0, le=1e6)]
 
 
 class SearchSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """How far a camera that is not as stated may lead the search for control points astray.
+    """Widening of the search for control points, for a camera that is not as stated.
 
     position_m, attitude_arcsec  1 sigma beside those of frames.csv
     """
@@ -32,8 +32,8 @@ class CalibrationPriors(msgspec.Struct, forbid_unknown_fields=True, frozen=True)
     mounting_arcsec: Wide = 3600.0
     clock_s: Wide = 2.0
 
-    def sigma(self, kind: Common) -> float:
-        """In the unit of the state."""
+    def get_sigma(self, kind: Common) -> float:
+        """Get a prior's sigma in the unit of the state."""
         return {
             Common.FOCAL: 1e-2 * self.focal_percent,
             Common.CENTRE: self.centre_px,
@@ -49,14 +49,15 @@ class CalibrateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True)
     search: SearchSettings = SearchSettings()
     prior: CalibrationPriors = CalibrationPriors()
 
-    def numbers(self, kinds: list[Common], cameras: list[str]) -> tuple[CommonNumber, ...]:
-        """The numbers to solve for, with these priors."""
-        found = common_numbers(kinds, cameras, 1.0)
+    def list_numbers(self, kinds: list[Common], cameras: list[str]) -> tuple[CommonNumber, ...]:
+        """List the numbers to solve for, with these priors."""
+        numbers_in_common = common_numbers(kinds, cameras, 1.0)
         return tuple(
-            CommonNumber(n.kind, n.axis, n.camera, self.prior.sigma(n.kind)) for n in found
+            CommonNumber(n.kind, n.axis, n.camera, self.prior.get_sigma(n.kind))
+            for n in numbers_in_common
         )
 
 
 def load_calibrate_settings(path: Path) -> CalibrateSettings:
-    """The calibration config of a file. Raises ConfigError for a wrong one."""
+    """Load the calibration config of a file. Raises ConfigError for a wrong one."""
     return load_toml(path, CalibrateSettings)

@@ -162,9 +162,9 @@ def _stage(
 
 
 def _tell_account(report: "BuildReport") -> None:
-    from optnav_cli.output.wording import account_lines
+    from optnav_cli.output.wording import format_account
 
-    tell(account_lines(report.account))
+    tell(format_account(report.account))
 
 
 def _tell_catalog(output: Path, report: "BuildReport") -> None:

@@ -37,10 +37,10 @@ def command() -> None:
 
 def answer(document: Mapping[str, Any], lines: Mapping[str, str], as_json: bool) -> None:
     """Print a document for programs, or its lines for people."""
-    from optnav_cli.output.wording import json_text
+    from optnav_cli.output.wording import format_json
 
     words = "\n".join(f"{key}: {value}" for key, value in lines.items())
-    click.echo(json_text(document) if as_json else words)
+    click.echo(format_json(document) if as_json else words)
 
 
 @command.command("info", short_help="What a catalog holds.")
@@ -93,7 +93,7 @@ def catalog_nearest(
         point_document,
     )
     from catalog.store.reader import Catalog
-    from optnav_cli.output.wording import json_text, length
+    from optnav_cli.output.wording import format_json, format_length
 
     with Catalog.open(catalog) as opened:
         near_points = nearest_points(opened, lat, lon, count, usable)
@@ -105,7 +105,7 @@ def catalog_nearest(
     ]
     if as_json:
         query = {"catalog": catalog, "lat_deg": lat, "lon_deg": lon, "covered": covered}
-        click.echo(json_text(query | {"points": documents}))
+        click.echo(format_json(query | {"points": documents}))
         return
     if count == 1:
         (near,) = near_points
@@ -118,16 +118,16 @@ def catalog_nearest(
         which = "usable point" if usable else "point"
         lines.append(
             f"note: the catalog does not cover this place: its nearest {which} is "
-            f"{length(near_points[0].distance_m)} away, its cells are {cell_deg:g} deg wide"
+            f"{format_length(near_points[0].distance_m)} away, its cells are {cell_deg:g} deg wide"
         )
     click.echo("\n".join(lines))
 
 
 def _near_lines(documents: Sequence[Mapping[str, Any]]) -> list[str]:
     """A table of points near a place, the nearest first."""
-    from optnav_cli.output.wording import length_unit, table_lines
+    from optnav_cli.output.wording import align_table, choose_length_unit
 
-    unit = length_unit(documents[-1]["distance_m"])
+    unit = choose_length_unit(documents[-1]["distance_m"])
     distance = f"distance, {unit.name}"
     rows = [("id", "lat_deg", "lon_deg", distance, "azimuth_deg", "usable", "reasons")]
     for point in documents:
@@ -135,7 +135,7 @@ def _near_lines(documents: Sequence[Mapping[str, Any]]) -> list[str]:
         use = "yes" if point["usable"] else "no"
         reasons = ", ".join(point["reasons"])
         rows.append((str(point["id"]), *cells, f"{point['azimuth_deg']:.1f}", use, reasons))
-    return table_lines(rows, left=(5, 6))
+    return align_table(rows, left=(5, 6))
 
 
 @command.command(
@@ -221,7 +221,7 @@ def compare_and_tell(
     from catalog.files import check_file
     from catalog.inspect import differences
     from catalog.inspect.compare import compare
-    from optnav_cli.output.wording import json_text
+    from optnav_cli.output.wording import format_json
 
     if table is not None:
         check_file(table, differences.is_table)
@@ -233,7 +233,7 @@ def compare_and_tell(
     )
     more += ["content: the same"] if comparison.same else []
     if as_json:
-        click.echo(json_text(differences.comparison_document(comparison)))
+        click.echo(format_json(differences.comparison_document(comparison)))
     else:
         click.echo("\n".join([*differences.lines(comparison), *more]))
     if not comparison.same:
@@ -273,7 +273,7 @@ def catalog_verify(progress: ConsoleProgress, catalog: Path, as_json: bool) -> N
     """
     from catalog.inspect.summary import verification_document
     from catalog.store.verify import Verification, verify
-    from optnav_cli.output.wording import json_text
+    from optnav_cli.output.wording import format_json
 
     announce_compilation()
     try:
@@ -282,10 +282,10 @@ def catalog_verify(progress: ConsoleProgress, catalog: Path, as_json: bool) -> N
         if as_json:  # a document whatever the file is
             verification = Verification(catalog)
             verification.add("file", error)
-            click.echo(json_text(verification_document(verification)))
+            click.echo(format_json(verification_document(verification)))
         raise
     if as_json:
-        click.echo(json_text(verification_document(verification)))
+        click.echo(format_json(verification_document(verification)))
     else:
         click.echo("\n".join(_verified_lines(verification)))
     if not verification.sound:

@@ -103,17 +103,17 @@ def list_shipped(kind: str | None, as_json: bool) -> None:
       optnav config list
       optnav config list cameras
     """
-    from optnav_cli.output.wording import json_text, table_lines
+    from optnav_cli.output.wording import align_table, format_json
 
     shipped = {name: [*_shipped(name)] for name in ([kind] if kind else KINDS)}
     if as_json:
-        click.echo(json_text(shipped))
+        click.echo(format_json(shipped))
         return
     lines = []
     for name, entries in shipped.items():
         lines += [f"{name}: {KINDS[name].use}"]
         rows = [(f"  {entry['name']}", entry["description"]) for entry in entries]
-        lines += [*table_lines(rows, left=(0, 1)), ""]
+        lines += [*align_table(rows, left=(0, 1)), ""]
     click.echo("\n".join(lines[:-1]))
 
 

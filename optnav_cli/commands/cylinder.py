@@ -38,10 +38,10 @@ def command(progress: ConsoleProgress, folder: Path, formula: str, output: Path)
       optnav cylinder pictures --formula printed -o printed
       optnav report run -o run.html
     """
-    from optnav_cli.cylinder.job import cylinder_folder, cylinder_lines
+    from optnav_cli.cylinder.job import list_result_lines, measure_cylinder_folder
 
     announce_compilation()
     chosen = cast(Literal["fit", "printed"], formula)
-    rows = cylinder_folder(folder, output, chosen, progress)
-    tell(cylinder_lines(rows))
+    rows = measure_cylinder_folder(folder, output, chosen, progress)
+    tell(list_result_lines(rows))
     click.echo(output)

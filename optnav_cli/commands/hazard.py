@@ -54,12 +54,12 @@ def slopes(
       optnav slopes site.tif -o slopes.tif
     """
     from optnav_cli.hazard.slopes import measure_slopes
-    from optnav_cli.output.wording import json_text
+    from optnav_cli.output.wording import format_json
 
     announce_compilation()
     measured = measure_slopes(dem, base_m, body, output, nodata)
     if as_json:
-        click.echo(json_text(measured.figures()))
+        click.echo(format_json(measured.figures()))
     else:
         click.echo(measured.to_text())
         if output is not None:

@@ -136,13 +136,13 @@ def navigate(
     from optnav_cli.control_points.settings import NavigateSettings, load_settings
     from optnav_cli.navigate.job import navigate_folder
     from optnav_cli.navigate.worker import RunInputs
-    from optnav_cli.output.run_folder import run_lines
+    from optnav_cli.output.run_folder import summarise_run
 
     settings = load_settings(config) if config else NavigateSettings()
     announce_compilation()
     inputs = RunInputs(folder, settings=settings, **given)
     solutions = navigate_folder(inputs, output, progress, workers=workers, scheduler=scheduler)
-    tell(run_lines(solutions))
+    tell(summarise_run(solutions))
     click.echo(output)
 
 
@@ -205,7 +205,7 @@ def evaluate(
     from optnav_cli.evaluation.figures import Limits, check_limits, limit_checks
     from optnav_cli.evaluation.files import evaluate_run, summary_of, write_evaluation
     from optnav_cli.evaluation.table import format_table
-    from optnav_cli.output.wording import json_text
+    from optnav_cli.output.wording import format_json
 
     if made_by_optnav(run, "hazard"):
         if any(limit is not None for limit in limits.values()):
@@ -228,7 +228,7 @@ def evaluate(
     if as_json:
         checks = [check._asdict() for check in limit_checks(figures, wanted)]
         document = {"run": run, "truth": truth} | summary_of(evaluation) | {"limits": checks}
-        click.echo(json_text(document))
+        click.echo(format_json(document))
     else:
         click.echo(format_table(evaluation))
     if not evaluation.any_solved:  # a limit that this passes is what was asked for
@@ -239,24 +239,24 @@ def evaluate(
 
 def _evaluate_measured(folder: Path, truth: Path, kind: str, as_json: bool) -> None:
     from optnav_cli.evaluation.measured import evaluate_cylinder, evaluate_stars, write_measured
-    from optnav_cli.output.wording import json_text
+    from optnav_cli.output.wording import format_json
 
     evaluation = (evaluate_stars if kind == "stars" else evaluate_cylinder)(folder, truth)
     document = {"run": folder, "truth": truth} | evaluation.summary()
-    click.echo(json_text(document) if as_json else evaluation.to_text())
+    click.echo(format_json(document) if as_json else evaluation.to_text())
     write_measured(evaluation, folder)
 
 
 def _evaluate_orbit(folder: Path, truth: Path, as_json: bool, given: dict[str, Any]) -> None:
     from optnav_cli.evaluation.figures import Limits, check_limits, limit_checks
     from optnav_cli.orbit.fit.evaluate import evaluate_orbit, write_orbit_evaluation
-    from optnav_cli.output.wording import json_text
+    from optnav_cli.output.wording import format_json
 
     evaluation, wanted = evaluate_orbit(folder, truth), Limits(**given)
     if as_json:
         checks = [check._asdict() for check in limit_checks(evaluation.figures, wanted)]
         document = {"run": folder, "truth": truth} | evaluation.summary() | {"limits": checks}
-        click.echo(json_text(document))
+        click.echo(format_json(document))
     else:
         click.echo(evaluation.to_text())
     write_orbit_evaluation(evaluation, folder)
@@ -267,12 +267,12 @@ def _evaluate_pads(folder: Path, truth: Path, as_json: bool, limit: float | None
     from dataclasses import asdict
 
     from optnav_cli.hazard.evaluate import evaluate_pads, write_pad_evaluation
-    from optnav_cli.output.wording import json_text
+    from optnav_cli.output.wording import format_json
 
     figures, pads = evaluate_pads(folder, truth)
     if as_json:
         limits = {"max_dangerous_share": limit}  # null for none
-        click.echo(json_text({"run": folder, "truth": truth} | asdict(figures) | limits))
+        click.echo(format_json({"run": folder, "truth": truth} | asdict(figures) | limits))
     else:
         click.echo(figures.to_text())
     write_pad_evaluation(folder, figures, pads)

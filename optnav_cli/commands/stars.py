@@ -49,9 +49,9 @@ def command(
     Example:
       optnav stars pictures -o attitudes
     """
-    from optnav_cli.stars.job import star_lines, stars_folder
+    from optnav_cli.stars.job import list_result_lines, solve_star_folder
 
     if epoch is not None and catalogue is None:
         raise click.UsageError("--epoch is that of --catalogue, which is not given")
-    tell(star_lines(stars_folder(folder, output, progress, catalogue, epoch)))
+    tell(list_result_lines(solve_star_folder(folder, output, progress, catalogue, epoch)))
     click.echo(output)

@@ -27,7 +27,7 @@ def command(progress: ConsoleProgress, folder: Path, output: Path) -> None:
       optnav simulate bundled:stereo_100m -o pairs
       optnav stereo pairs -o heights
     """
-    from optnav_cli.stereo.job import stereo_folder, stereo_lines
+    from optnav_cli.stereo.job import list_result_lines, measure_stereo_folder
 
-    tell(stereo_lines(stereo_folder(folder, output, progress)))
+    tell(list_result_lines(measure_stereo_folder(folder, output, progress)))
     click.echo(output)

@@ -20,10 +20,10 @@ LIT = 4 + len(LOBES)  # terms of the light: Lambert, two of Minnaert, rough face
 
 
 @bare_kernel
-def _lit_brightness(
-    psi: float, middle: float, theta: float, source: float, found: FloatArray
+def _compute_lit_terms(
+    psi: float, middle: float, theta: float, source: float, terms: FloatArray
 ) -> None:
-    """Brightness by each of the linear unknowns from the light on, into found (LIT,).
+    """Compute brightness by each of the linear unknowns from the light on, into terms (LIT,).
 
     psi, middle  of a lit point of the surface: its angle and its bearing from the axis
     source       half the width of the source, rad
@@ -37,25 +37,29 @@ def _lit_brightness(
         cosine = math.sin(up) * math.sin(source) / source
     elif up > -source:
         cosine = (1.0 - math.cos(up + source)) / (2.0 * source)
-    found[0] = cosine
-    found[1] = cosine * math.log(max(cosine, DARKEST))
-    found[2] = cosine * math.log(max(emission, DARKEST))
-    found[3] = 0.0
+    terms[0] = cosine
+    terms[1] = cosine * math.log(max(cosine, DARKEST))
+    terms[2] = cosine * math.log(max(emission, DARKEST))
+    terms[3] = 0.0
     if (psi - theta) * (psi + middle) > 0.0:  # Oren and Nayar's share of rough facets
-        one, other = abs(psi - theta), abs(psi + middle)
-        found[3] = cosine * math.sin(max(one, other)) * math.tan(min(one, other, STEEPEST))
+        from_light, from_normal = abs(psi - theta), abs(psi + middle)
+        terms[3] = (
+            cosine
+            * math.sin(max(from_light, from_normal))
+            * math.tan(min(from_light, from_normal, STEEPEST))
+        )
     # half way between the directions to the light and to the camera
     half = max(math.cos(psi - 0.5 * (theta - middle)), 0.0)
     risen = min(max(0.5 + 0.5 * up / source, 0.0), 1.0)
     for k in range(len(LOBES)):
-        found[4 + k] = risen * half ** LOBES[k]
+        terms[4 + k] = risen * half ** LOBES[k]
 
 
 @kernel
-def drawn_columns(
+def draw_columns(
     columns: FloatArray, state: FloatArray, radius: float, focal: float, centre: float
 ) -> FloatArray:
-    """Brightness (n, LIT + 2) of columns (n,) by each linear unknown.
+    """Draw the brightness (n, LIT + 2) of columns (n,) by each linear unknown.
 
     The lit surface is cut into strips from the terminator to the limb, finer where a part of the
     source has risen. Brightness is linear over each of them, and what of it a blurred column holds
@@ -63,19 +67,19 @@ def drawn_columns(
     """
     distance, axis, theta = state[0], state[1], state[2]
     blur, source = math.exp(state[3]), math.exp(state[4])
-    found = np.zeros((columns.size, LIT + 2))
-    found[:, 0] = 1.0
+    brightness = np.zeros((columns.size, LIT + 2))
+    brightness[:, 0] = 1.0
     widest = math.acos(radius / distance)
     limb = math.asin(radius / distance)
     low, high = centre + focal * math.tan(axis - limb), centre + focal * math.tan(axis + limb)
     edge, known = np.empty((columns.size, 2)), (0, 0)
-    _add_strip(columns, low, high, blur, np.ones((2, 1)), found[:, 1:2], edge, known)
+    _add_strip(columns, low, high, blur, np.ones((2, 1)), brightness[:, 1:2], edge, known)
     side = 1.0 if theta >= 0.0 else -1.0
     # measured to the lit side, from the terminator on
     risen = min(max(abs(theta) - 0.5 * math.pi + source, -widest), widest)
     begun = min(max(abs(theta) - 0.5 * math.pi - source, -widest), widest)
     far = min(abs(theta) + 0.5 * math.pi + source, widest)
-    ends, lit = np.empty((2, LIT)), found[:, 2:]
+    ends, lit = np.empty((2, LIT)), brightness[:, 2:]
     last = 0.0
     for j in range(DUSK_STRIPS + STRIPS + 1):
         if j <= DUSK_STRIPS:
@@ -85,14 +89,14 @@ def drawn_columns(
         psi *= side
         middle = math.atan2(radius * math.sin(psi), distance - radius * math.cos(psi))
         fresh = centre + focal * math.tan(axis + middle)
-        _lit_brightness(psi, middle, theta, source, ends[1])
+        _compute_lit_terms(psi, middle, theta, source, ends[1])
         if j > 0 and (fresh - last) * side > 0.0:
             known = _add_strip(columns, last, fresh, blur, ends, lit, edge, known)
         else:
             known = 0, 0
         last = fresh
         ends[0] = ends[1]
-    return found
+    return brightness
 
 
 @bare_kernel
@@ -102,7 +106,7 @@ def _add_strip(
     fresh: float,
     blur: float,
     ends: FloatArray,
-    found: FloatArray,
+    brightness: FloatArray,
     edge: FloatArray,
     known: tuple[int, int],
 ) -> tuple[int, int]:
@@ -123,11 +127,11 @@ def _add_strip(
             edge[i, 0], edge[i, 1] = math.erf(off * HALF_ROOT), math.exp(-0.5 * off * off)
         off = (fresh - columns[i]) / blur
         share, bell = math.erf(off * HALF_ROOT), math.exp(-0.5 * off * off)
-        whole, bells = 0.5 * side * (share - edge[i, 0]), side * (edge[i, 1] - bell)
+        covered, bells = 0.5 * side * (share - edge[i, 0]), side * (edge[i, 1] - bell)
         edge[i, 0], edge[i, 1] = share, bell
         # the mean of how far along the strip the light of the column comes from
-        along = bells * blur / math.sqrt(2.0 * math.pi) + (columns[i] - last) * whole
+        along = bells * blur / math.sqrt(2.0 * math.pi) + (columns[i] - last) * covered
         along /= fresh - last
         for k in range(ends.shape[1]):
-            found[i, k] += whole * ends[0, k] + along * (ends[1, k] - ends[0, k])
+            brightness[i, k] += covered * ends[0, k] + along * (ends[1, k] - ends[0, k])
     return begin, end

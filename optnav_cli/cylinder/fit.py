@@ -16,13 +16,13 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
-from optnav_cli.cylinder.brightness import LOBES, drawn_columns
+from optnav_cli.cylinder.brightness import LOBES, draw_columns
 from optnav_cli.cylinder.geometry import (
     CylinderSize,
-    cylinder_sizes,
-    half_width,
-    psi_of,
-    surface_distance,
+    compute_half_width,
+    compute_psi,
+    compute_surface_distance,
+    load_error_sizes,
 )
 from optnav_cli.cylinder.profile import CylinderProfile
 from optnav_cli.estimation.least_squares import (
@@ -107,7 +107,7 @@ class CylinderFit:
 
 
 class CostedModel(Model[FloatArray], Protocol):
-    """A kind of measurement whose cost is had without its derivatives."""
+    """Measurement model whose cost is had without its derivatives."""
 
     def cost(self, state: FloatArray) -> float: ...
 
@@ -125,24 +125,24 @@ class ProfileModel:
         self.noise_weights = (profile.bright / profile.sigma) ** 2
         self._kept = np.full(LINEAR, np.nan), np.empty((0, 0))
 
-    def design(self, state: FloatArray) -> FloatArray:
-        """(n, LIT + 2) brightness by each linear unknown; that of the last place is kept."""
+    def draw_design(self, state: FloatArray) -> FloatArray:
+        """Draw brightness (n, LIT + 2) by each linear unknown; the last design is cached."""
         if not np.array_equal(self._kept[0], state[:LINEAR]):
-            self._kept = state[:LINEAR].copy(), self._drawn(state)
+            self._kept = state[:LINEAR].copy(), self._draw(state)
         return self._kept[1]
 
-    def _drawn(self, state: FloatArray) -> FloatArray:
+    def _draw(self, state: FloatArray) -> FloatArray:
         lens = self._lens
-        return drawn_columns(self.columns, state, self._radius, lens.focal_x_px, lens.centre_x_px)
+        return draw_columns(self.columns, state, self._radius, lens.focal_x_px, lens.centre_x_px)
 
     def cost(self, state: FloatArray) -> float:
-        """What `linearise` costs."""
-        off = self.measured - self.design(state) @ _strengths(state)
+        """Compute the cost of `linearise`."""
+        off = self.measured - self.draw_design(state) @ _scale_strengths(state)
         return float(self.weights @ (off * off))
 
     def linearise(self, state: FloatArray) -> Linearisation:
         """Residuals, and derivatives by differences for what is not linear."""
-        design, weights = self.design(state), _strengths(state)
+        design, weights = self.draw_design(state), _scale_strengths(state)
         jacobian = np.empty((self.columns.size, UNKNOWNS))
         jacobian[:, LINEAR:] = design
         jacobian[:, LIGHT] = design[:, 2] + design[:, 3:] @ state[LIGHT + 1 :]
@@ -151,35 +151,37 @@ class ProfileModel:
             moved, back = state.copy(), state.copy()
             moved[k] += STEP
             back[k] -= STEP
-            jacobian[:, k] = (self._drawn(moved) - self._drawn(back)) @ weights / (2.0 * STEP)
+            jacobian[:, k] = (self._draw(moved) - self._draw(back)) @ weights / (2.0 * STEP)
         return linearised(self.measured - design @ weights, jacobian, self.weights)
 
-    def started(self, state: FloatArray, light: float | None = None) -> tuple[float, FloatArray]:
-        """The state (LINEAR,) with the best brightness (UNKNOWNS,), and its cost.
+    def start_brightness(
+        self, state: FloatArray, light: float | None = None
+    ) -> tuple[float, FloatArray]:
+        """Return the cost and the state (LINEAR,) completed by the best brightness (UNKNOWNS,).
 
         light  about how strong it is, for the expected sizes of the others
         """
-        design = self.design(state)
+        design = self.draw_design(state)
         if light is None:
             light = 1.0 / max(float(design[:, 2].max()), 1e-3)
         sigmas = SIGMAS * np.where(np.arange(SIGMAS.size) < 2, 1.0, light)
         expected = EXPECTED * light
         normal = (design.T * self.weights) @ design + np.diag(sigmas**-2)
         right = (design.T * self.weights) @ self.measured + expected / sigmas**2
-        found = np.linalg.solve(normal, right)
-        residuals, off = self.measured - design @ found, (found - expected) / sigmas
+        solved = np.linalg.solve(normal, right)
+        residuals, off = self.measured - design @ solved, (solved - expected) / sigmas
         cost = float(self.weights @ residuals**2 + off @ off)
-        if found[2] <= 0.0:
+        if solved[2] <= 0.0:
             return np.inf, state
-        found[3:] /= found[2]
-        return cost, np.concatenate([state, found])
+        solved[3:] /= solved[2]
+        return cost, np.concatenate([state, solved])
 
 
-def _strengths(state: FloatArray) -> FloatArray:
-    """The linear unknowns of a state as what the columns of `drawn_columns` are multiplied by."""
-    found = state[LINEAR:].copy()
-    found[3:] *= state[LIGHT]
-    return found
+def _scale_strengths(state: FloatArray) -> FloatArray:
+    """Scale the linear unknowns of a state to the factors of the columns of `draw_columns`."""
+    strengths = state[LINEAR:].copy()
+    strengths[3:] *= state[LIGHT]
+    return strengths
 
 
 class HeightModel:
@@ -195,27 +197,27 @@ class HeightModel:
         self._heights, self._size, self._lens = profile.heights, size, lens
         self._weights = profile.height_sigma**-2
 
-    def predicted(self, state: FloatArray) -> FloatArray:
-        """(m,) px."""
+    def predict(self, state: FloatArray) -> FloatArray:
+        """Predict heights (m,), px."""
         lens, size = self._lens, self._size
         distance, axis, theta = state[:3]
         mixed = self._columns + math.exp(state[BLUR]) * BLUR_SIGMAS[:, None]
         bearings = np.arctan((mixed - lens.centre_x_px) / lens.focal_x_px)
-        psi = psi_of(bearings - axis, size.radius_m, distance)
-        depth = surface_distance(psi, size.radius_m, distance) * np.cos(bearings)
-        seen = np.abs(bearings - axis) < half_width(size.radius_m, distance)
+        psi = compute_psi(bearings - axis, size.radius_m, distance)
+        depth = compute_surface_distance(psi, size.radius_m, distance) * np.cos(bearings)
+        seen = np.abs(bearings - axis) < compute_half_width(size.radius_m, distance)
         light = np.maximum(np.cos(psi - theta), 0.0) + DUSK
         shares = BLUR_SHARES[:, None] * np.where(seen, light, 1e-9)
         heights = lens.focal_y_px * size.height_m * (shares / depth).sum(axis=0)
-        found: FloatArray = heights / shares.sum(axis=0)
-        return found
+        mean_height: FloatArray = heights / shares.sum(axis=0)
+        return mean_height
 
-    def inside(self, state: FloatArray) -> FloatArray:
-        """(m,) 1 where a column is far enough from the limbs, else 0."""
-        limb = half_width(self._size.radius_m, state[DISTANCE])
-        away = limb - np.abs(self._bearings - state[BEARING])
-        found: FloatArray = (away > LIMB_PX / self._lens.focal_x_px).astype(np.float64)
-        return found
+    def flag_inside(self, state: FloatArray) -> FloatArray:
+        """Flag columns that are far enough from the limbs: (m,), 1 or 0."""
+        limb = compute_half_width(self._size.radius_m, state[DISTANCE])
+        from_limb = limb - np.abs(self._bearings - state[BEARING])
+        inside: FloatArray = (from_limb > LIMB_PX / self._lens.focal_x_px).astype(np.float64)
+        return inside
 
     def linearise(self, state: FloatArray) -> Linearisation:
         """Residuals and derivatives by differences."""
@@ -224,19 +226,19 @@ class HeightModel:
             moved, back = state.copy(), state.copy()
             moved[k] += STEP
             back[k] -= STEP
-            jacobian[:, k] = (self.predicted(moved) - self.predicted(back)) / (2.0 * STEP)
-        residuals, weights = self._weighted(state)
+            jacobian[:, k] = (self.predict(moved) - self.predict(back)) / (2.0 * STEP)
+        residuals, weights = self._weigh_residuals(state)
         return linearised(residuals, jacobian, weights)
 
     def cost(self, state: FloatArray) -> float:
-        """What `linearise` costs."""
-        residuals, weights = self._weighted(state)
+        """Compute the cost of `linearise`."""
+        residuals, weights = self._weigh_residuals(state)
         return float(weights @ (residuals * residuals))
 
-    def _weighted(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residuals (m,), px, and their weights."""
-        residuals = self._heights - self.predicted(state)
-        weights = self._weights * self.inside(state)
+    def _weigh_residuals(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return residuals (m,), px, and their weights."""
+        residuals = self._heights - self.predict(state)
+        weights = self._weights * self.flag_inside(state)
         # neighbouring columns have the same errors of edge and blur: they count as a few
         count = max(float(np.count_nonzero(weights)), 1.0)
         weights = weights * min(1.0, HEIGHT_COUNT / count)
@@ -246,7 +248,7 @@ class HeightModel:
 
 
 def fit_cylinder(profile: CylinderProfile, lens: IdealLens, size: CylinderSize) -> CylinderFit:
-    """The cylinder that a profile shows. Raises NoSolutionError where it shows none."""
+    """Fit the cylinder that a profile shows. Raises NoSolutionError where it shows none."""
     brightness = ProfileModel(profile, lens, size.radius_m)
     heights = HeightModel(profile, lens, size)
     others: list[CostedModel] = [
@@ -256,45 +258,45 @@ def fit_cylinder(profile: CylinderProfile, lens: IdealLens, size: CylinderSize) 
     ]
     best: Estimate[FloatArray] | None = None
     failure = UNSETTLED.error()
-    starts = _starts(profile, brightness, lens, size)
+    starts = _choose_starts(profile, brightness, lens, size)
     for number, start in enumerate(starts):
-        if number >= 2 and best is not None and _misfit(best) < GOOD_MISFIT:
+        if number >= 2 and best is not None and _compute_misfit(best) < GOOD_MISFIT:
             break
         try:
-            estimate = _settled(brightness, others, start, 1.02 * size.radius_m)
+            estimate = _settle(brightness, others, start, 1.02 * size.radius_m)
         except NoSolutionError as error:
             failure = error
             continue
         if best is None or estimate.cost < best.cost:
             best = estimate
-    if starts and (best is None or _misfit(best) > GOOD_MISFIT):
-        best = _refined(brightness, others, starts[0], best, size)
+    if starts and (best is None or _compute_misfit(best) > GOOD_MISFIT):
+        best = _refine(brightness, others, starts[0], best, size)
     if best is None:
         raise failure
     if best.terms[1].cost > UNLIKELY:
-        best = _refined(brightness, others, best.state, best, size) or best
-    return _checked(best, brightness, profile, size)
+        best = _refine(brightness, others, best.state, best, size) or best
+    return _check_fit(best, brightness, profile, size)
 
 
-def _refined(
+def _refine(
     brightness: ProfileModel,
     others: Sequence[CostedModel],
     near: FloatArray,
     best: Estimate[FloatArray] | None,
     size: CylinderSize,
 ) -> Estimate[FloatArray] | None:
-    """The best of a fit and of others that begin near a state with the usual cloth and lamp.
+    """Return the best of a fit and of others that begin near a state with the usual cloth and lamp.
 
     Cloth of an unlikely kind under a light some degrees off draws nearly the same profile: a
     minimum of its own beside the true one.
     """
     for off in NEARBY:
-        place = [*near[:THETA], near[THETA] + off, *WIDTHS]
-        _, start = brightness.started(np.array(place))
+        nonlinear = [*near[:THETA], near[THETA] + off, *WIDTHS]
+        _, start = brightness.start_brightness(np.array(nonlinear))
         if start.size == LINEAR:
             continue
         try:
-            tried = _settled(brightness, others, start, 1.02 * size.radius_m)
+            tried = _settle(brightness, others, start, 1.02 * size.radius_m)
         except NoSolutionError:
             continue
         if best is None or tried.cost < best.cost:
@@ -302,13 +304,13 @@ def _refined(
     return best
 
 
-def _settled(
+def _settle(
     brightness: ProfileModel,
     others: Sequence[CostedModel],
     start: FloatArray,
     nearest_m: float,
 ) -> Estimate[FloatArray]:
-    """The state that fits the models, by steps that are damped until they lower the cost.
+    """Fit the models by steps that are damped until they lower the cost.
 
     The step of `estimation.least_squares.solve` is too bold here: a terminator that is blurred by
     the lens, by the source or by the cloth looks the same over wide ranges.
@@ -322,15 +324,17 @@ def _settled(
         gradient = np.sum([term.gradient for term in terms], axis=0)
         cost = sum(term.cost for term in terms)
         damped = normal + np.diag(damping * np.diag(normal))
-        whole = _moved(state, inverse_of(damped) @ gradient, nearest_m)
+        stepped = _limit_step(state, inverse_of(damped) @ gradient, nearest_m)
         # the brightness that is best for the place of the step, or that of the step itself: the
         # first is solved for with a prior that is about right
-        _, resolved = brightness.started(whole[:LINEAR], whole[LIGHT])
-        trials = [one for one in (resolved, whole) if one.size > LINEAR and one[LIGHT] > 0.0]
+        _, resolved = brightness.start_brightness(stepped[:LINEAR], stepped[LIGHT])
+        trials = [
+            trial for trial in (resolved, stepped) if trial.size > LINEAR and trial[LIGHT] > 0.0
+        ]
         if not trials:
             damping /= EASED
             continue
-        costs = [sum(model.cost(one) for model in models) for one in trials]
+        costs = [sum(model.cost(trial) for model in models) for trial in trials]
         least = int(np.argmin(costs))
         fall = cost - costs[least]
         if fall >= 0.0:
@@ -348,8 +352,8 @@ def _settled(
     raise UNSETTLED.error()
 
 
-def _moved(state: FloatArray, step: FloatArray, nearest_m: float) -> FloatArray:
-    """A state after a step, kept where the model has a meaning."""
+def _limit_step(state: FloatArray, step: FloatArray, nearest_m: float) -> FloatArray:
+    """Apply a step to a state, limited to where the model has a meaning."""
     limits = np.array([0.3 * state[DISTANCE], 0.1, 0.3, 0.3, 0.7])
     factor = min(1.0, float(np.min(limits / np.maximum(np.abs(step[:LINEAR]), 1e-12))))
     moved = state + factor * step
@@ -359,10 +363,10 @@ def _moved(state: FloatArray, step: FloatArray, nearest_m: float) -> FloatArray:
     return moved
 
 
-def _starts(
+def _choose_starts(
     profile: CylinderProfile, model: ProfileModel, lens: IdealLens, size: CylinderSize
 ) -> list[FloatArray]:
-    """The best states of a coarse search over theta; the limb on the lit side fixes the rest.
+    """Choose the best states of a coarse search over theta; the lit limb fixes the others.
 
     Raises NoSolutionError where the lit part has no extent to begin with.
     """
@@ -373,42 +377,42 @@ def _starts(
         nearest = lens.focal_y_px * size.height_m / float(np.quantile(profile.heights, 0.97))
     else:  # cut above or below: as if its width were whole
         nearest = lens.focal_x_px * 2.0 * size.radius_m / max(float(lit[-1] - lit[0]), 1.0)
-    found: list[tuple[float, FloatArray]] = []
+    trials: list[tuple[float, FloatArray]] = []
     for theta in STARTS:
         dark = max(abs(theta) - 0.5 * math.pi, 0.0)
         sine = size.radius_m * math.sin(dark)
         if nearest <= sine:
             continue
         distance = size.radius_m * math.cos(dark) + math.sqrt(nearest**2 - sine**2)
-        limb = half_width(size.radius_m, max(distance, 1.05 * size.radius_m))
+        limb = compute_half_width(size.radius_m, max(distance, 1.05 * size.radius_m))
         edge = lit[-1] + 0.5 if theta >= 0.0 else lit[0] - 0.5
         at = math.atan((edge - lens.centre_x_px) / lens.focal_x_px)
         axis = at - limb if theta >= 0.0 else at + limb
         state = np.array([max(distance, 1.05 * size.radius_m), axis, theta, *WIDTHS])
-        found.append(model.started(state))
-    found.sort(key=lambda pair: pair[0])
-    if not found or not np.isfinite(found[0][0]):
+        trials.append(model.start_brightness(state))
+    trials.sort(key=lambda pair: pair[0])
+    if not trials or not np.isfinite(trials[0][0]):
         raise NoSolutionError("the profile is not that of a lit cylinder", ReasonCode.LIMB_MISFIT)
     chosen: list[FloatArray] = []
-    for cost, state in found:
+    for cost, state in trials:
         apart = [abs(state[THETA] - other[THETA]) >= START_GAP for other in chosen]
         if np.isfinite(cost) and all(apart) and len(chosen) < MAX_STARTS:
             chosen.append(state)
     return chosen
 
 
-def _misfit(estimate: Estimate[FloatArray]) -> float:
-    """Residuals of brightness in units of their errors, rms."""
+def _compute_misfit(estimate: Estimate[FloatArray]) -> float:
+    """Compute residuals of brightness in units of their errors, rms."""
     brightness = estimate.terms[0]
     return math.sqrt(brightness.cost / brightness.residuals.size)
 
 
-def _checked(
+def _check_fit(
     best: Estimate[FloatArray], model: ProfileModel, profile: CylinderProfile, size: CylinderSize
 ) -> CylinderFit:
-    """The solution with its covariance. Raises NoSolutionError where it is none."""
+    """Check a solution and add its covariance. Raises NoSolutionError where it is none."""
     brightness, heights = best.terms[0], best.terms[3]
-    misfit = _misfit(best)
+    misfit = _compute_misfit(best)
     used = heights.weights > 0.0
     if used.sum() > 3:
         off = float(np.sqrt(np.mean(heights.residuals[used] ** 2)))
@@ -432,7 +436,7 @@ def _checked(
         raise NoSolutionError("the light falls from nowhere", ReasonCode.WRONG_LIGHT)
     # scatter beyond what is stated widens the errors
     covariance = best.covariance[:3, :3] * max(misfit, 1.0) ** 2
-    beyond_m2, beyond = cylinder_sizes().variances(
+    beyond_m2, beyond = load_error_sizes().compute_variances(
         float(best.state[THETA]), float(best.state[DISTANCE])
     )
     covariance[0, 0] += beyond_m2
@@ -440,8 +444,8 @@ def _checked(
     gain = brightness.gain(best.covariance)
     noise = (gain / model.noise_weights) @ gain.T
     if heights.residuals.size:
-        own = heights.gain(best.covariance)
-        noise = noise + (own * profile.height_sigma**2) @ own.T
+        height_gain = heights.gain(best.covariance)
+        noise = noise + (height_gain * profile.height_sigma**2) @ height_gain.T
     distance, bearing, theta = (float(number) for number in best.state[:3])
     middle = 0.5 * sum(profile.rows)
     if profile.heights.size:

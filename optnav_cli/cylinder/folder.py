@@ -54,10 +54,10 @@ def read_cylinder_folder(path: Path) -> CylinderFolder:
     that cannot be used.
     """
     if not path.is_dir():
-        found = "is no folder" if path.exists() else "there is no such folder"
-        raise DataError(f"{path}: {found}; wanted one with run.toml, frames.csv and cameras/")
+        problem = "is no folder" if path.exists() else "there is no such folder"
+        raise DataError(f"{path}: {problem}; wanted one with run.toml, frames.csv and cameras/")
     where = path / RUN_TOML
-    if "target" not in _keys(where):
+    if "target" not in _read_keys(where):
         raise ConfigError(
             f'{where}: names no target; write target = "cylinder", radius_m and height_m, or use '
             "`optnav navigate` for pictures of a body"
@@ -76,7 +76,7 @@ def read_cylinder_folder(path: Path) -> CylinderFolder:
     return CylinderFolder(path, settings, cameras, frames)
 
 
-def _keys(path: Path) -> dict[str, object]:
+def _read_keys(path: Path) -> dict[str, object]:
     try:
         return tomllib.loads(toml_text(path))
     except (ValueError, RecursionError):

@@ -70,17 +70,17 @@ def fit_coded_cylinder(
     """
     full = float(values.max()) if saturation is None else saturation
 
-    def profile_of(gamma: float) -> CylinderProfile:
+    def measure_decoded(gamma: float) -> CylinderProfile:
         light = Coding("gamma", gamma).decode(values, full).astype(np.float32)
         return measure_profile(light, saturation)
 
     gamma, edge_sigma = estimate_gamma(values, profile, full)
     sigma = min(float(np.hypot(edge_sigma, MODEL_SIGMA)), GAMMA_SIGMA)
-    fit = fit_cylinder(profile_of(gamma), lens, size)
+    fit = fit_cylinder(measure_decoded(gamma), lens, size)
     moves = []
     for other in (gamma - sigma, gamma + sigma):
         try:
-            moves.append(fit_cylinder(profile_of(other), lens, size).state - fit.state)
+            moves.append(fit_cylinder(measure_decoded(other), lens, size).state - fit.state)
         except NoSolutionError:
             continue
     if not moves:
@@ -120,15 +120,15 @@ class EdgeSamples:
     noise: float
 
     def start(self, gamma: float) -> FloatArray:
-        """Ends (m,) in light for a gamma and the expected blur."""
+        """Start ends (m,) in light for a gamma and the expected blur."""
         level, dark = self.levels[:, 0], self.dark
         light = (0.5 * (level + dark)) ** gamma - dark**gamma
         share = np.clip(light / np.maximum(level**gamma - dark**gamma, 1e-12), 1e-3, 1.0 - 1e-3)
-        found: FloatArray = self.halves - BLUR_PX * ndtri(share)
-        return found
+        ends: FloatArray = self.halves - BLUR_PX * ndtri(share)
+        return ends
 
-    def predicted(self, state: FloatArray, ends: FloatArray) -> FloatArray:
-        """Values (m, n) by gamma and half the shape of an edge (1 + k,), and ends (m,)."""
+    def predict(self, state: FloatArray, ends: FloatArray) -> FloatArray:
+        """Predict values (m, n) by gamma and half the shape of an edge (1 + k,), and ends (m,)."""
         gamma, from_edge = state[0], self.offsets - ends[:, None]
         shape = np.concatenate([[0.0], state[1:], [0.5]])
         half = np.sign(from_edge) * np.interp(np.abs(from_edge), KNOTS_PX, shape)
@@ -137,7 +137,7 @@ class EdgeSamples:
         return np.asarray((dark + (bright - dark) * risen) ** (1.0 / gamma), np.float64)
 
 
-def edge_samples(values: Float32Array, profile: CylinderProfile, full: float) -> EdgeSamples:
+def sample_edges(values: Float32Array, profile: CylinderProfile, full: float) -> EdgeSamples:
     """Sample the upper and lower ends of the lit columns of a picture (rows, columns)."""
     inner = slice(MARGIN_COLUMNS, max(profile.heights.size - MARGIN_COLUMNS, MARGIN_COLUMNS))
     columns, tops = profile.height_columns[inner].astype(np.intp), profile.tops[inner]
@@ -175,7 +175,7 @@ def estimate_gamma(
     """
     if profile.heights.size and float(np.median(profile.heights)) < 2 * (REACH_PX + LEVEL_PX):
         return GAMMA, GAMMA_SIGMA
-    samples = edge_samples(values, profile, full)
+    samples = sample_edges(values, profile, full)
     if len(samples.columns) < MIN_EDGES:
         return GAMMA, GAMMA_SIGMA
     fits = [_GammaFit(samples, gamma) for gamma in STARTS]
@@ -185,8 +185,8 @@ def estimate_gamma(
     shares = np.exp(-0.5 * (costs - costs.min()) / scale)
     shares /= shares.sum()
     gamma = float(shares @ gammas)
-    own = np.array([fit.gamma_sigma() for fit in fits])
-    return gamma, float(np.sqrt(shares @ (own**2 + (gammas - gamma) ** 2)))
+    sigmas = np.array([fit.estimate_gamma_sigma() for fit in fits])
+    return gamma, float(np.sqrt(shares @ (sigmas**2 + (gammas - gamma) ** 2)))
 
 
 class _GammaFit:
@@ -198,11 +198,11 @@ class _GammaFit:
         self._expected = np.array([GAMMA, *shape])
         self._sigmas = np.array([GAMMA_SIGMA, *(SHAPE_SIGMA for _ in shape)])
         self.state, self.ends = np.array([gamma, *shape]), samples.start(gamma)
-        self.cost, self._off = self._costs(self.state, self.ends)
+        self.cost, self._off = self._compute_cost(self.state, self.ends)
         damping = DAMPING
         for _ in range(MAX_STEPS):
-            state, ends = self._stepped(damping)
-            cost, off = self._costs(state, ends)
+            state, ends = self._step(damping)
+            cost, off = self._compute_cost(state, ends)
             damping *= EASED if cost <= self.cost else RAISED
             if cost <= self.cost:
                 settled = float(np.abs(state - self.state).max()) < SETTLED
@@ -212,50 +212,50 @@ class _GammaFit:
             elif damping > MAX_DAMPING:
                 break
 
-    def _costs(self, state: FloatArray, ends: FloatArray) -> tuple[float, FloatArray]:
-        """Sum of squares in units of their errors, and the residuals (m, n)."""
-        off = self._samples.values - self._samples.predicted(state, ends)
+    def _compute_cost(self, state: FloatArray, ends: FloatArray) -> tuple[float, FloatArray]:
+        """Compute the sum of squares in units of their errors, and the residuals (m, n)."""
+        off = self._samples.values - self._samples.predict(state, ends)
         beyond = (state - self._expected) / self._sigmas
         return float((off**2).sum() / self._samples.noise**2 + (beyond**2).sum()), off
 
-    def _reduced(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Normal matrix without the ends, scores of each edge (m, 1 + k), and the ends' steps.
+    def _reduce(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the normal matrix without the ends, scores (m, 1 + k) of edges, steps of ends.
 
         The latter as those of a state that stays (m,) less shares (m, 1 + k) of its step.
         """
         by = np.stack(
             [
-                self._slope(self.state + step, self.state - step, self.ends, self.ends)
+                self._differentiate(self.state + step, self.state - step, self.ends, self.ends)
                 for step in STEP * np.eye(self.state.size)
             ],
             axis=-1,
         )
-        by_end = self._slope(self.state, self.state, self.ends + STEP, self.ends - STEP)
-        own = (by_end**2).sum(axis=1) + 1e-9
-        shares = np.einsum("ei,eij->ej", by_end, by) / own[:, None]
+        by_end = self._differentiate(self.state, self.state, self.ends + STEP, self.ends - STEP)
+        by_end_squared = (by_end**2).sum(axis=1) + 1e-9
+        shares = np.einsum("ei,eij->ej", by_end, by) / by_end_squared[:, None]
         left = (by - by_end[:, :, None] * shares[:, None, :]) / self._samples.noise
         normal = np.einsum("eij,eik->jk", left, left) + np.diag(self._sigmas**-2.0)
         scores = np.einsum("eij,ei->ej", left, self._off / self._samples.noise)
-        return normal, scores, (by_end * self._off).sum(axis=1) / own, shares
+        return normal, scores, (by_end * self._off).sum(axis=1) / by_end_squared, shares
 
-    def _slope(
+    def _differentiate(
         self, up: FloatArray, down: FloatArray, ends_up: FloatArray, ends_down: FloatArray
     ) -> FloatArray:
-        high, low = self._samples.predicted(up, ends_up), self._samples.predicted(down, ends_down)
+        high, low = self._samples.predict(up, ends_up), self._samples.predict(down, ends_down)
         slope: FloatArray = (high - low) / (2.0 * STEP)
         return slope
 
-    def _stepped(self, damping: float) -> tuple[FloatArray, FloatArray]:
-        normal, scores, shifts, shares = self._reduced()
+    def _step(self, damping: float) -> tuple[FloatArray, FloatArray]:
+        normal, scores, shifts, shares = self._reduce()
         right = scores.sum(axis=0) - (self.state - self._expected) / self._sigmas**2
         state = self.state + np.linalg.solve(normal + damping * np.diag(np.diag(normal)), right)
         state[0] = np.clip(state[0], MIN_GAMMA, MAX_GAMMA)
         shifts = shifts - shares @ (state - self.state)
         return state, self.ends + np.clip(shifts, -MAX_SHIFT_PX, MAX_SHIFT_PX)
 
-    def gamma_sigma(self) -> float:
-        """1 sigma of gamma, by how blocks of columns differ, no less than by the noise."""
-        normal, scores, _, _ = self._reduced()
+    def estimate_gamma_sigma(self) -> float:
+        """Estimate 1 sigma of gamma, by how blocks of columns differ, no less than by the noise."""
+        normal, scores, _, _ = self._reduce()
         covariance = np.linalg.inv(normal)
         blocks = np.floor(self._samples.columns / BLOCK_COLUMNS)
         sums = np.array([scores[blocks == block].sum(axis=0) for block in np.unique(blocks)])

@@ -35,53 +35,53 @@ class CylinderSize:
     height_m: float
 
 
-def half_width(radius_m: float, distance_m: float) -> float:
-    """Half the angle under which a cylinder is seen whose axis is at a distance, rad."""
+def compute_half_width(radius_m: float, distance_m: float) -> float:
+    """Compute half the angle under which a cylinder is seen whose axis is at a distance, rad."""
     return math.asin(radius_m / distance_m)
 
 
-def bearing_of(psi: ArrayLike, radius_m: float, distance_m: float) -> FloatArray:
-    """Bearings (n,) of points of the surface from the axis, rad, for angles psi (n,)."""
+def compute_bearing(psi: ArrayLike, radius_m: float, distance_m: float) -> FloatArray:
+    """Compute bearings (n,) of points of the surface from the axis, rad, for angles psi (n,)."""
     psi = np.asarray(psi, np.float64)
-    found: FloatArray = np.arctan2(radius_m * np.sin(psi), distance_m - radius_m * np.cos(psi))
-    return found
+    bearing: FloatArray = np.arctan2(radius_m * np.sin(psi), distance_m - radius_m * np.cos(psi))
+    return bearing
 
 
-def psi_of(bearing: ArrayLike, radius_m: float, distance_m: float) -> FloatArray:
-    """Angles psi (n,) of the points of the surface seen at bearings (n,) from the axis, rad.
+def compute_psi(bearing: ArrayLike, radius_m: float, distance_m: float) -> FloatArray:
+    """Compute angles psi (n,) of the surface points seen at bearings (n,) from the axis, rad.
 
     Beyond the limb those of the limb.
     """
     bearing = np.asarray(bearing, np.float64)
     sine = np.clip(distance_m / radius_m * np.sin(bearing), -1.0, 1.0)
-    found: FloatArray = np.arcsin(sine) - bearing
-    return found
+    psi: FloatArray = np.arcsin(sine) - bearing
+    return psi
 
 
-def surface_distance(psi: ArrayLike, radius_m: float, distance_m: float) -> FloatArray:
-    """Horizontal distances (n,) from the camera to points of the surface, m."""
+def compute_surface_distance(psi: ArrayLike, radius_m: float, distance_m: float) -> FloatArray:
+    """Compute horizontal distances (n,) from the camera to points of the surface, m."""
     cosine = np.cos(np.asarray(psi, np.float64))
     square = distance_m**2 + radius_m**2 - 2.0 * distance_m * radius_m * cosine
     return np.sqrt(square)
 
 
-def lit_edges(theta: float, radius_m: float, distance_m: float) -> tuple[float, float]:
-    """The bearings from the axis between which the seen surface is lit, rad, left one first.
+def find_lit_edges(theta: float, radius_m: float, distance_m: float) -> tuple[float, float]:
+    """Find the bearings from the axis between which the seen surface is lit, rad, left one first.
 
-    One of them is the terminator unless the whole face is lit, |theta| <= `half_width`.
+    One of them is the terminator unless the whole face is lit, |theta| <= `compute_half_width`.
     """
-    limb = half_width(radius_m, distance_m)
+    limb = compute_half_width(radius_m, distance_m)
     terminator = abs(theta) - 0.5 * math.pi
     if terminator <= limb - 0.5 * math.pi:
         return -limb, limb
-    edge = float(bearing_of(min(terminator, 0.5 * math.pi - limb), radius_m, distance_m))
+    edge = float(compute_bearing(min(terminator, 0.5 * math.pi - limb), radius_m, distance_m))
     return (edge, limb) if theta >= 0.0 else (-limb, -edge)
 
 
-def printed_distance_and_angle(
+def solve_printed_formulas(
     lit_height: float, lit_width: float, size: CylinderSize
 ) -> tuple[float, float]:
-    """The distance d to the surface, m, and theta, rad, by formulas (5) and (6) as printed.
+    """Solve formulas (5) and (6) as printed for the distance d to the surface, m, and theta, rad.
 
     lit_height, lit_width  angles of the lit area, rad: phi_h and phi_w
 
@@ -101,7 +101,7 @@ def printed_distance_and_angle(
 
 
 class CylinderErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Sizes of what the model of the fit leaves out; FILE says what each is."""
+    """Sizes of errors left out of the model of the fit; FILE says what each is."""
 
     theta_deg: Size
     theta_grazing_deg: Size
@@ -110,9 +110,9 @@ class CylinderErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     distance_crescent_share: Share
     theta_crescent_deg: Size
 
-    def variances(self, theta: float, distance_m: float) -> tuple[float, float]:
-        """Of the distance, m², and of theta, rad², at an angle of the light, rad."""
-        grazing = grazing_of(theta)
+    def compute_variances(self, theta: float, distance_m: float) -> tuple[float, float]:
+        """Compute variances of distance, m², and theta, rad², at an angle of the light, rad."""
+        grazing = compute_grazing(theta)
         share = self.distance_share**2 + (self.distance_grazing_share * grazing) ** 2
         thin = max(math.degrees(abs(theta)) - CRESCENT_DEG, 0.0) / CRESCENT_SPAN_DEG
         share += (self.distance_crescent_share * thin) ** 2
@@ -121,12 +121,12 @@ class CylinderErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True
         return share * distance_m**2, degrees * math.radians(1.0) ** 2
 
 
-def grazing_of(theta: float) -> float:
-    """How much light grazes what is seen: 0 up to 90 deg, 1 at 137 deg."""
+def compute_grazing(theta: float) -> float:
+    """Compute how much light grazes what is seen: 0 up to 90 deg, 1 at 137 deg."""
     return max(math.degrees(abs(theta)) - GRAZING_DEG, 0.0) / GRAZING_SPAN_DEG
 
 
 @cache
-def cylinder_sizes() -> CylinderErrorSizes:
-    """The sizes that ship with optnav. Raises ConfigError for a wrong file."""
+def load_error_sizes() -> CylinderErrorSizes:
+    """Load the sizes that ship with optnav. Raises ConfigError for a wrong file."""
     return load_toml(resource(FILE), CylinderErrorSizes)

@@ -27,20 +27,20 @@ from optnav_cli.cylinder.gamma import fit_coded_cylinder
 from optnav_cli.cylinder.geometry import (
     CRESCENT_DEG,
     CylinderSize,
-    half_width,
-    lit_edges,
-    printed_distance_and_angle,
+    compute_half_width,
+    find_lit_edges,
+    solve_printed_formulas,
 )
-from optnav_cli.cylinder.overlay import cylinder_overlay
-from optnav_cli.cylinder.page import CYLINDER_CSV, CYLINDER_KIND, cylinder_sheet
-from optnav_cli.cylinder.profile import CylinderProfile, measure_profile, printed_extent
-from optnav_cli.cylinder.velocity import series_places, series_velocity
+from optnav_cli.cylinder.overlay import draw_cylinder_overlay
+from optnav_cli.cylinder.page import CYLINDER_CSV, CYLINDER_KIND, draw_cylinder_sheet
+from optnav_cli.cylinder.profile import CylinderProfile, measure_printed_extent, measure_profile
+from optnav_cli.cylinder.velocity import compute_velocity, place_series
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import frame_picture
 from optnav_cli.frames.tables import CYLINDER
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
-from optnav_cli.output.wording import table_lines
+from optnav_cli.output.wording import align_table
 from optnav_cli.reasons import ReasonCode
 
 STAGE = "cylinder"
@@ -75,19 +75,19 @@ class CylinderRow:
     gamma: tuple[float, float] | None = None
 
     def cells(self) -> dict[str, object]:
-        """The row as the file has it."""
-        found: dict[str, object] = {"file": self.frame.file, "utc": self.frame.utc}
-        found |= {"zone": self.zone, "reason": self.reason}
-        found["status"] = "unsolved" if self.d_m is None else "solved"
+        """Return the cells of cylinder.csv."""
+        cells: dict[str, object] = {"file": self.frame.file, "utc": self.frame.utc}
+        cells |= {"zone": self.zone, "reason": self.reason}
+        cells["status"] = "unsolved" if self.d_m is None else "solved"
         for name in ("d_m", "d_sigma_m", "theta_deg", "theta_sigma_deg", "bearing_deg"):
-            found[name] = getattr(self, name)
+            cells[name] = getattr(self, name)
         if self.velocity is not None:
             names = ("vx_m_s", "vy_m_s", "v_sigma_m_s")
-            found |= zip(names, self.velocity, strict=True)
-        return found
+            cells |= zip(names, self.velocity, strict=True)
+        return cells
 
 
-def cylinder_folder(
+def measure_cylinder_folder(
     folder: Path, output: Path, formula: Formula, progress: Progress
 ) -> list[CylinderRow]:
     """Measure all pictures of a folder and write OUTPUT with cylinder.csv, plots and overlays.
@@ -99,22 +99,22 @@ def cylinder_folder(
     check_apart(output, [folder])
     with logged_stage(STAGE):
         read = read_cylinder_folder(folder)
-        with replacing_folder(output, CYLINDER_KIND) as place:
-            (place / "overlays").mkdir()
+        with replacing_folder(output, CYLINDER_KIND) as work:
+            (work / "overlays").mkdir()
             rows = []
             with progress.stage(STAGE, len(read.frames), "picture") as bar:
                 for frame in read.frames:
-                    rows.append(_measured(read, frame, formula, place))
+                    rows.append(_measure(read, frame, formula, work))
                     bar.advance()
             if formula == "fit":
-                rows = with_velocities(rows)
-            CYLINDER.write(place / CYLINDER_CSV, (row.cells() for row in rows))
-            (place / "cylinder.svg").write_text(
-                cylinder_sheet(place, read.settings.radius_m), encoding="utf-8"
+                rows = add_velocities(rows)
+            CYLINDER.write(work / CYLINDER_CSV, (row.cells() for row in rows))
+            (work / "cylinder.svg").write_text(
+                draw_cylinder_sheet(work, read.settings.radius_m), encoding="utf-8"
             )
             solved = sum(row.d_m is not None for row in rows)
             write_manifest(
-                place,
+                work,
                 CYLINDER_KIND,
                 command="cylinder",
                 options={"formula": formula},
@@ -150,16 +150,16 @@ def _remark_on_gamma(folder: CylinderFolder, rows: Sequence[CylinderRow]) -> Non
         )  # fmt: skip
 
 
-def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Path) -> CylinderRow:
+def _measure(folder: CylinderFolder, frame: Frame, formula: Formula, output: Path) -> CylinderRow:
     if frame.problem is not None:
         return CylinderRow(frame, reason=frame.problem)
     settings, camera = folder.settings, folder.cameras[frame.camera]
-    size, lens = CylinderSize(settings.radius_m, settings.height_m), ideal_lens(camera)
+    size, lens = CylinderSize(settings.radius_m, settings.height_m), remove_distortion(camera)
     try:
         picture = frame_picture(folder.path, frame.file, camera)
     except DataError as error:
         return CylinderRow(frame, reason=str(error))
-    values, fit = rectified(picture.values, camera), None
+    values, fit = undistort(picture.values, camera), None
     gaps = np.isnan(values)
     values = np.where(gaps, np.nanmedian(values), values) if gaps.any() else values
     cut: Sequence[str] = ()
@@ -168,9 +168,9 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
         _check_gaps(gaps, profile)
         cut = profile.cut
         if formula == "printed":
-            height_px, width_px = printed_extent(profile)
+            height_px, width_px = measure_printed_extent(profile)
             angles = height_px / lens.focal_y_px, width_px / lens.focal_x_px
-            d_m, theta = printed_distance_and_angle(*angles, size)
+            d_m, theta = solve_printed_formulas(*angles, size)
             row = CylinderRow(frame, "", d_m, None, math.degrees(theta))
         elif {"top", "bottom"} & set(cut) and {"left", "right"} & set(cut):
             text = "neither its height nor its width is whole, which leaves the distance open"
@@ -181,18 +181,20 @@ def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Pat
                 fit, gamma = coded.fit, (coded.gamma, coded.gamma_sigma)
             else:
                 fit, gamma = fit_cylinder(profile, lens, size), None
-            row = replace(_row(frame, fit, profile.cut, camera, settings), gamma=gamma)
+            row = replace(_make_row(frame, fit, profile.cut, camera, settings), gamma=gamma)
             if picture.remarks:
-                row = replace(row, reason=_joined(row.reason, "; ".join(picture.remarks)))
+                row = replace(row, reason=_join_reasons(row.reason, "; ".join(picture.remarks)))
             if row.zone == "cut" and _is_dazzled(values, picture.saturation):
-                fit, row = None, _unsolved(frame, values, picture.saturation, row.reason)
+                fit, row = None, _make_unsolved_row(frame, values, picture.saturation, row.reason)
     except NoSolutionError as error:
-        row = _unsolved(frame, values, picture.saturation, _joined(_touched(cut), str(error)))
+        row = _make_unsolved_row(
+            frame, values, picture.saturation, _join_reasons(_describe_cut(cut), str(error))
+        )
         if cut and not row.zone:
             row = replace(row, zone="cut")
     words = "unsolved" if row.d_m is None else f"d {row.d_m:.4f} m, theta {row.theta_deg:.2f} deg"
-    drawn = cylinder_overlay(values, fit, lens, size, f"{words} {row.zone}")
-    overlay_path(place / "overlays", frame.file).write_bytes(drawn)
+    drawn = draw_cylinder_overlay(values, fit, lens, size, f"{words} {row.zone}")
+    overlay_path(output / "overlays", frame.file).write_bytes(drawn)
     return row
 
 
@@ -211,17 +213,17 @@ def _is_dazzled(values: Float32Array, saturation: float | None) -> bool:
     return saturation is not None and float((values >= saturation).mean()) > GLARE_SHARE
 
 
-def _unsolved(
+def _make_unsolved_row(
     frame: Frame, values: Float32Array, saturation: float | None, reason: str
 ) -> CylinderRow:
-    """The row of a picture without a number; full pixels mean that the source is in view."""
+    """Make the row of a picture without a number; full pixels mean that the source is in view."""
     full = _is_dazzled(values, saturation)
     if full:
         reason = f"the source of light or its flare is in view; {reason}"
     return CylinderRow(frame, "glare" if full else "", reason=reason)
 
 
-def _row(
+def _make_row(
     frame: Frame,
     fit: CylinderFit,
     cut: Sequence[str],
@@ -229,10 +231,12 @@ def _row(
     settings: CylinderRunSettings,
 ) -> CylinderRow:
     sigma_m, _, sigma = (float(s) for s in np.sqrt(np.diag(fit.covariance)))
-    zone = zone_of(fit, cut, camera, settings)
-    sigma_deg, reason = math.degrees(sigma), _touched(cut)
+    zone = classify_zone(fit, cut, camera, settings)
+    sigma_deg, reason = math.degrees(sigma), _describe_cut(cut)
     if sigma_deg > (MAX_CUT_SIGMA_DEG if cut else MAX_SIGMA_DEG):
-        return CylinderRow(frame, zone, reason=_joined("the angle of the light is open", reason))
+        return CylinderRow(
+            frame, zone, reason=_join_reasons("the angle of the light is open", reason)
+        )
     return CylinderRow(
         frame,
         zone,
@@ -246,45 +250,45 @@ def _row(
     )
 
 
-def _touched(cut: Sequence[str]) -> str:
+def _describe_cut(cut: Sequence[str]) -> str:
     return f"the lit part touches the picture's {', '.join(cut)} edge" if cut else ""
 
 
-def _joined(*reasons: str) -> str:
+def _join_reasons(*reasons: str) -> str:
     return "; ".join(reason for reason in reasons if reason)
 
 
-def zone_of(
+def classify_zone(
     fit: CylinderFit, cut: Sequence[str], camera: Camera, settings: CylinderRunSettings
 ) -> str:
-    """Where the camera stands to the light, in the words of cylinder.csv."""
+    """Classify where the camera stands to the light, in the words of cylinder.csv."""
     if cut:
         return "cut"
-    lens, radius = ideal_lens(camera), settings.radius_m
+    lens, radius = remove_distortion(camera), settings.radius_m
     half_field = math.atan(0.5 * camera.width_px / lens.focal_x_px)
     source = math.radians(settings.light_half_width_deg)
     if abs(fit.theta) > math.pi - half_field - source:
         return "glare"
-    if abs(fit.theta) <= half_width(radius, fit.distance_m):
+    if abs(fit.theta) <= compute_half_width(radius, fit.distance_m):
         return "full_face"
-    left, right = lit_edges(fit.theta, radius, fit.distance_m)
+    left, right = find_lit_edges(fit.theta, radius, fit.distance_m)
     width = lens.focal_x_px * (math.tan(fit.bearing + right) - math.tan(fit.bearing + left))
     sigma_deg = math.degrees(math.sqrt(fit.covariance[2, 2]))
     thin = width < CRESCENT_PX or abs(fit.theta) > math.radians(CRESCENT_DEG)
     return "crescent" if thin or sigma_deg > CRESCENT_SIGMA_DEG else "ok"
 
 
-def ideal_lens(camera: Camera) -> IdealLens:
-    """The camera without its distortion."""
+def remove_distortion(camera: Camera) -> IdealLens:
+    """Return the camera's lens without its distortion."""
     focal = camera.focal_length_px
     return IdealLens(focal, focal * camera.aspect, *camera.principal_point_px)
 
 
-def rectified(values: Float32Array, camera: Camera) -> Float32Array:
-    """A picture with the distortion of its lens taken out, by OpenCV."""
+def undistort(values: Float32Array, camera: Camera) -> Float32Array:
+    """Remove the distortion of the lens from a picture, by OpenCV."""
     if camera.distortion == "none":
         return values
-    lens = ideal_lens(camera)
+    lens = remove_distortion(camera)
     matrix = np.array(
         [
             [lens.focal_x_px, 0.0, lens.centre_x_px],
@@ -295,18 +299,18 @@ def rectified(values: Float32Array, camera: Camera) -> Float32Array:
     return cv2.undistort(values, matrix, np.array(camera.coefficients)).astype(np.float32)
 
 
-def with_velocities(rows: Sequence[CylinderRow]) -> list[CylinderRow]:
-    """Rows with velocities by three neighbours in time: a line at their middle, or a parabola.
+def add_velocities(rows: Sequence[CylinderRow]) -> list[CylinderRow]:
+    """Add velocities by three neighbours in time: a line at their middle, or a parabola.
 
     The positions are those of the camera about the axis, with the cloth that fits all pictures: x
     towards the light, y where theta grows.
     """
-    found = list(rows)
+    completed = list(rows)
     usable = [
         n for n, row in enumerate(rows) if row.fit is not None and row.frame.tdb_s is not None
     ]
     usable.sort(key=lambda n: rows[n].frame.tdb_s or 0.0)
-    places = series_places([fit for n in usable if (fit := rows[n].fit) is not None])
+    places = place_series([fit for n in usable if (fit := rows[n].fit) is not None])
     for k, number in enumerate(usable):
         first = min(max(k - 1, 0), len(usable) - 3)
         if first < 0:
@@ -315,19 +319,21 @@ def with_velocities(rows: Sequence[CylinderRow]) -> list[CylinderRow]:
         times = times - (rows[number].frame.tdb_s or 0.0)
         if np.diff(times).min() <= 0.0:
             text = "no speed: two pictures of three have one time"
-            found[number] = replace(rows[number], reason=_joined(rows[number].reason, text))
+            completed[number] = replace(
+                rows[number], reason=_join_reasons(rows[number].reason, text)
+            )
             continue
         if np.diff(times).max() > MAX_STEP_S:
             continue
         # the slope of the parabola through three points at the time of the row
         weights = np.linalg.inv(np.vander(times, 3, increasing=True))[1]
-        velocity = series_velocity(places[first : first + 3], weights)
-        found[number] = replace(rows[number], velocity=velocity)
-    return found
+        velocity = compute_velocity(places[first : first + 3], weights)
+        completed[number] = replace(rows[number], velocity=velocity)
+    return completed
 
 
-def cylinder_lines(rows: Sequence[CylinderRow]) -> list[str]:
-    """A summary for people."""
+def list_result_lines(rows: Sequence[CylinderRow]) -> list[str]:
+    """List the distances for people."""
     table: list[tuple[str, ...]] = [("picture", "zone", "d, m", "sigma", "theta, deg", "sigma", "")]
     for row in rows:
         numbers = (row.d_m, row.d_sigma_m, row.theta_deg, row.theta_sigma_deg)
@@ -336,4 +342,4 @@ def cylinder_lines(rows: Sequence[CylinderRow]) -> list[str]:
             for number, digits in zip(numbers, (4, 4, 2, 2), strict=True)
         )
         table.append((row.frame.file, row.zone, *shown, row.reason))
-    return table_lines(table, left=(0, 1, 6))
+    return align_table(table, left=(0, 1, 6))

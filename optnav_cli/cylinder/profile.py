@@ -69,7 +69,7 @@ def measure_profile(values: Float32Array, saturation: float | None) -> CylinderP
     saturation  the highest value that it can hold; None for no limit
     Raises NoSolutionError where nothing stands out, or too little, or more than one body.
     """
-    background, noise = _background(values)
+    background, noise = _estimate_background(values)
     smooth = cv2.blur(values, (SMOOTH_PX, SMOOTH_PX)) - background
     flat = smooth.ravel()
     bright = float(np.partition(flat, flat.size - BRIGHT_PX)[flat.size - BRIGHT_PX])
@@ -82,11 +82,11 @@ def measure_profile(values: Float32Array, saturation: float | None) -> CylinderP
             f"{MIN_COUNTS:.0f}, so that rounding to whole counts plays no part: expose longer",
             ReasonCode.BAD_PICTURE,
         )
-    left, top, width, height = _lit_box(smooth > threshold)
+    left, top, width, height = _find_lit_box(smooth > threshold)
     rows = top + height // 4, max(top + height - height // 4, top + height // 4 + 1)
     band = values[rows[0] : rows[1]] - background
     brightness = band.mean(axis=0, dtype=np.float64)
-    sigma = _sigmas(band, noise)
+    sigma = _estimate_sigmas(band, noise)
     full = np.zeros(brightness.size, bool)
     if saturation is not None:
         full = (band >= saturation - 0.5 - background).mean(axis=0) > SATURATED_SHARE
@@ -97,19 +97,20 @@ def measure_profile(values: Float32Array, saturation: float | None) -> CylinderP
             f"{100.0 * share:.0f} % of the lit columns are at full scale: overexposed",
             ReasonCode.BAD_PICTURE,
         )
-    cut = _cut_sides(brightness, band, (left, top, width, height), values.shape, threshold)
+    cut = _find_cut_sides(brightness, band, (left, top, width, height), values.shape, threshold)
     box = slice(left, left + width)
     level = float(np.quantile(brightness[box], 0.97))
     inside = np.zeros(brightness.size, bool)
     inside[box] = brightness[box] > HEIGHT_SHARE * level
     columns = np.flatnonzero(inside)
-    levels = brightness + _end_offsets(values - background, brightness, (top, height))
+    levels = brightness + _estimate_end_offsets(values - background, brightness, (top, height))
     ends = [
-        _ends(values[:, c].astype(np.float64) - background, levels[:, c], rows) for c in columns
+        _find_ends(values[:, c].astype(np.float64) - background, levels[:, c], rows)
+        for c in columns
     ]
     spans = np.array(ends, np.float64).reshape(-1, 2)
-    whole = "top" not in cut and "bottom" not in cut
-    kept = np.isfinite(spans).all(axis=1) & whole & ~full[columns]
+    is_uncut = "top" not in cut and "bottom" not in cut
+    kept = np.isfinite(spans).all(axis=1) & is_uncut & ~full[columns]
     # the slope of an edge blurred by a pixel is 0.4 of its height a pixel; a height has two
     noises = np.sqrt(2.0) * noise / (0.4 * np.maximum(brightness[columns], 1e-9))
     return CylinderProfile(
@@ -128,8 +129,8 @@ def measure_profile(values: Float32Array, saturation: float | None) -> CylinderP
     )
 
 
-def printed_extent(profile: CylinderProfile) -> tuple[float, float]:
-    """Height of the tallest column and width of the lit area, px, as the printed formulas take."""
+def measure_printed_extent(profile: CylinderProfile) -> tuple[float, float]:
+    """Measure height of the tallest column and width of the lit area, px, for printed formulas."""
     if not profile.heights.size:
         raise NoSolutionError("the lit area is cut, so it has no height", ReasonCode.OUTSIDE_FRAME)
     if {"left", "right"} & set(profile.cut):
@@ -137,20 +138,20 @@ def printed_extent(profile: CylinderProfile) -> tuple[float, float]:
     above = np.flatnonzero(profile.brightness > PRINTED_SHARE * profile.bright)
     first, last = int(above[0]), int(above[-1])
     level, values = PRINTED_SHARE * profile.bright, profile.brightness
-    start = _crossing(values, first, -1, level) if first > 0 else first - 0.5
-    end = _crossing(values, last, 1, level) if last < values.size - 1 else last + 0.5
+    start = _find_crossing(values, first, -1, level) if first > 0 else first - 0.5
+    end = _find_crossing(values, last, 1, level) if last < values.size - 1 else last + 0.5
     return float(np.quantile(profile.heights, 0.97)), end - start
 
 
-def _crossing(values: FloatArray, inside: int, step: int, level: float) -> float:
-    """Where values pass a level between a place above it and its neighbour."""
+def _find_crossing(values: FloatArray, inside: int, step: int, level: float) -> float:
+    """Find where values pass a level between a place above it and its neighbour."""
     high, low = values[inside], values[inside + step]
     share = (high - level) / (high - low) if high > low else 0.5
     return inside + step * float(np.clip(share, 0.0, 1.0))
 
 
-def _background(values: Float32Array) -> tuple[float, float]:
-    """Level and noise of what lies behind the cylinder, by the darker part of the picture."""
+def _estimate_background(values: Float32Array) -> tuple[float, float]:
+    """Estimate level and noise behind the cylinder, by the darker part of the picture."""
     coarse = cv2.resize(values, None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA)
     dark = coarse <= np.quantile(coarse, 0.3)
     level = float(np.median(coarse[dark]))
@@ -161,8 +162,8 @@ def _background(values: Float32Array) -> tuple[float, float]:
     return level, max(noise, 0.3)  # counts are whole numbers
 
 
-def _lit_box(lit: BoolArray) -> tuple[int, int, int, int]:
-    """Left, top, width and height of the largest lit part. Raises NoSolutionError."""
+def _find_lit_box(lit: BoolArray) -> tuple[int, int, int, int]:
+    """Find left, top, width and height of the largest lit part. Raises NoSolutionError."""
     count, _, stats, _ = cv2.connectedComponentsWithStats(lit.astype(np.uint8), connectivity=8)
     areas = stats[1:count, cv2.CC_STAT_AREA]
     if not areas.size or areas.max() < MIN_LIT_PX:
@@ -178,19 +179,19 @@ def _lit_box(lit: BoolArray) -> tuple[int, int, int, int]:
     return left, top, width, height
 
 
-def _sigmas(band: Float32Array, noise: float) -> FloatArray:
-    """Errors (n,) of the means of columns of a band, by how its rows differ."""
+def _estimate_sigmas(band: Float32Array, noise: float) -> FloatArray:
+    """Estimate errors (n,) of the means of columns of a band, by how its rows differ."""
     count = len(band)
     if count < 4:
         return np.full(band.shape[1], noise / np.sqrt(count))
     variance = 0.5 * np.square(np.diff(band, axis=0)).mean(axis=0, dtype=np.float64)
     # noise is about the same in neighbouring columns, and its estimate is noisy itself
     smooth = cv2.blur(variance[None], (9, 1))[0]
-    found: FloatArray = np.sqrt(np.maximum(smooth, noise**2) / count)
-    return found
+    sigmas: FloatArray = np.sqrt(np.maximum(smooth, noise**2) / count)
+    return sigmas
 
 
-def _cut_sides(
+def _find_cut_sides(
     brightness: FloatArray,
     band: Float32Array,
     box: tuple[int, int, int, int],
@@ -198,20 +199,22 @@ def _cut_sides(
     threshold: float,
 ) -> tuple[str, ...]:
     left, top, width, height = box
-    found = []
+    sides = []
     if top <= 1:
-        found.append("top")
+        sides.append("top")
     if top + height >= shape[0] - 1:
-        found.append("bottom")
+        sides.append("bottom")
     if left <= 1 and brightness[:2].max() > threshold:
-        found.append("left")
+        sides.append("left")
     if left + width >= shape[1] - 1 and brightness[-2:].max() > threshold:
-        found.append("right")
-    return tuple(found)
+        sides.append("right")
+    return tuple(sides)
 
 
-def _end_offsets(values: Float32Array, brightness: FloatArray, span: tuple[int, int]) -> FloatArray:
-    """How much brighter the strip is at its upper and lower ends than in the mean (2, n).
+def _estimate_end_offsets(
+    values: Float32Array, brightness: FloatArray, span: tuple[int, int]
+) -> FloatArray:
+    """Estimate how much brighter the strip is at its upper and lower ends than in the mean (2, n).
 
     Gloss shines on the middle: with half the mean for the level of its ends, a strip under a gloss
     of a fifth comes out 0.07 px too short. A parabola through two bands beside the middle half
@@ -231,20 +234,22 @@ def _end_offsets(values: Float32Array, brightness: FloatArray, span: tuple[int, 
     return np.array([even + odd, even - odd])
 
 
-def _ends(column: FloatArray, levels: FloatArray, rows: tuple[int, int]) -> tuple[float, float]:
-    """The rows where a column passes half its level at either end; NaN for none."""
-    up = _first_below(column[: rows[0] + 1][::-1], 0.5 * float(levels[0]))
-    down = _first_below(column[rows[1] - 1 :], 0.5 * float(levels[1]))
+def _find_ends(
+    column: FloatArray, levels: FloatArray, rows: tuple[int, int]
+) -> tuple[float, float]:
+    """Find the rows where a column passes half its level at either end; NaN for none."""
+    up = _find_first_below(column[: rows[0] + 1][::-1], 0.5 * float(levels[0]))
+    down = _find_first_below(column[rows[1] - 1 :], 0.5 * float(levels[1]))
     return rows[0] - up, rows[1] - 1 + down
 
 
-def _first_below(values: FloatArray, half: float) -> float:
-    """How far into values (n,) they fall through a level, by a line through the places about it."""
+def _find_first_below(values: FloatArray, half: float) -> float:
+    """Find how far into values (n,) they fall through a level, by a line between two pixels."""
     below = values < half
     # noise may dip one pixel of the strip below the level: two in a row are its end
     both = np.flatnonzero(below[:-1] & below[1:])
     if not both.size or both[0] == 0:
         return float("nan")
-    place = int(both[0])
-    high, low = float(values[place - 1]), float(values[place])
-    return place - 1 + (high - half) / (high - low) if high > low else place - 0.5
+    first = int(both[0])
+    high, low = float(values[first - 1]), float(values[first])
+    return first - 1 + (high - half) / (high - low) if high > low else first - 0.5

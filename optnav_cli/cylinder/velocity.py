@@ -25,7 +25,7 @@ from optnav_cli.cylinder.fit import (
     WIDTHS,
     CylinderFit,
 )
-from optnav_cli.cylinder.geometry import CRESCENT_DEG, cylinder_sizes
+from optnav_cli.cylinder.geometry import CRESCENT_DEG, load_error_sizes
 from optnav_cli.estimation.least_squares import inverse_of
 
 PLACE = np.array([DISTANCE, THETA])
@@ -52,57 +52,64 @@ class SeriesPlace:
     by_cloth: FloatArray
 
 
-def series_places(fits: Sequence[CylinderFit]) -> list[SeriesPlace]:
-    """The places of pictures of one cylinder under one lamp."""
+def place_series(fits: Sequence[CylinderFit]) -> list[SeriesPlace]:
+    """Locate the camera in pictures of one cylinder under one lamp."""
     if not fits:
         return []
-    cloth, covariance, doubts = _cloth(fits)
+    cloth, covariance, doubts = _estimate_cloth(fits)
     root = np.linalg.cholesky(covariance).astype(np.float64)
-    return [_place(fit, cloth, root, doubt) for fit, doubt in zip(fits, doubts, strict=True)]
+    return [
+        _place_picture(fit, cloth, root, doubt) for fit, doubt in zip(fits, doubts, strict=True)
+    ]
 
 
-def _cloth(fits: Sequence[CylinderFit]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The cloth (k,) of all pictures, its covariance, and how far each is from it (n,), from 1 on.
+def _estimate_cloth(fits: Sequence[CylinderFit]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Estimate the cloth (k,) of all pictures, its covariance, and each picture's doubt (n,).
 
     Cloth and lamp that the model does not have lead neighbouring pictures astray alike: all of
     them count as one. A picture whose cloth is another one, by its errors, counts for less.
     """
     prior = np.diag(CLOTH_SIGMAS**-2.0)
     known = [inverse_of(fit.state_covariance[np.ix_(CLOTH, CLOTH)]) for fit in fits]
-    own = [fit.state[CLOTH] for fit in fits]
-    whole = np.array([abs(math.degrees(fit.theta)) <= CRESCENT_DEG for fit in fits])
+    states = [fit.state[CLOTH] for fit in fits]
+    is_usable = np.array([abs(math.degrees(fit.theta)) <= CRESCENT_DEG for fit in fits])
     doubts = np.ones(len(fits))
     for _ in range(ROUNDS):
-        shares = whole / doubts / max(int(whole.sum()), 1)
+        shares = is_usable / doubts / max(int(is_usable.sum()), 1)
         normal, right = prior.copy(), prior @ CLOTH_EXPECTED
-        for share, information, cloth in zip(shares, known, own, strict=True):
+        for share, information, cloth in zip(shares, known, states, strict=True):
             normal += share * (information - prior)
             right += share * (information @ cloth - prior @ CLOTH_EXPECTED)
         covariance = inverse_of(normal)
-        found = covariance @ right
+        cloth_of_all = covariance @ right
         off = [
-            (cloth - found) @ one @ (cloth - found) for cloth, one in zip(own, known, strict=True)
+            (cloth - cloth_of_all) @ information_of_fit @ (cloth - cloth_of_all)
+            for cloth, information_of_fit in zip(states, known, strict=True)
         ]
         doubts = np.maximum(np.array(off) / len(CLOTH), 1.0)
-    return found, covariance, doubts
+    return cloth_of_all, covariance, doubts
 
 
-def _place(fit: CylinderFit, cloth: FloatArray, root: FloatArray, doubt: float) -> SeriesPlace:
-    """A picture's place with the cloth of all, whose covariance has a root (k, k)."""
-    whole = fit.state_covariance
-    by_cloth = whole[np.ix_(PLACE, CLOTH)] @ inverse_of(whole[np.ix_(CLOTH, CLOTH)])
+def _place_picture(
+    fit: CylinderFit, cloth: FloatArray, root: FloatArray, doubt: float
+) -> SeriesPlace:
+    """Locate the camera in a picture with the cloth of all, whose covariance has a root (k, k)."""
+    state_covariance = fit.state_covariance
+    by_cloth = state_covariance[np.ix_(PLACE, CLOTH)] @ inverse_of(
+        state_covariance[np.ix_(CLOTH, CLOTH)]
+    )
     distance, theta = fit.state[PLACE] + by_cloth @ (cloth - fit.state[CLOTH])
     # errors with the cloth held: of the place less what the cloth's errors make of it
     held = np.zeros((2, UNKNOWNS))
     held[[0, 1], PLACE] = 1.0
     held[:, CLOTH] = -by_cloth
     noise = held @ fit.state_noise @ held.T
-    stated = max(fit.misfit, 1.0) ** 2 * doubt * (held @ whole @ held.T)
+    stated = max(fit.misfit, 1.0) ** 2 * doubt * (held @ state_covariance @ held.T)
     # the distance errs as the edges fall on the pixels, in each picture otherwise, theta with it
     along = stated[:, 0] / math.sqrt(stated[0, 0])
     left = math.sqrt(max(stated[1, 1] - along[1] ** 2 - noise[1, 1], 0.0))
     noise += np.outer(along, along)
-    noise += np.diag(cylinder_sizes().variances(float(theta), float(distance)))
+    noise += np.diag(load_error_sizes().compute_variances(float(theta), float(distance)))
     cosine, sine = math.cos(theta), math.sin(theta)
     turned = np.array([[cosine, -distance * sine], [sine, distance * cosine]])
     return SeriesPlace(
@@ -113,14 +120,14 @@ def _place(fit: CylinderFit, cloth: FloatArray, root: FloatArray, doubt: float) 
     )
 
 
-def series_velocity(
+def compute_velocity(
     places: Sequence[SeriesPlace], weights: FloatArray
 ) -> tuple[float, float, float]:
-    """The sum of places (n,) with weights (n,), 1/s: a velocity, m/s, and its sigma a component."""
+    """Weigh places (n,) by weights (n,), 1/s: a velocity, m/s, and its sigma per component."""
     pairs = list(zip(weights, places, strict=True))
     velocity = np.sum([weight * place.position for weight, place in pairs], axis=0)
-    own = sum(weight**2 * float(np.trace(place.noise)) for weight, place in pairs)
+    variance_of_noise = sum(weight**2 * float(np.trace(place.noise)) for weight, place in pairs)
     common = np.sum([weight * place.by_theta for weight, place in pairs], axis=0)
     cloth = np.sum([weight * place.by_cloth for weight, place in pairs], axis=0)
-    variance = own + float(np.sum(common**2) + np.sum(cloth**2))
+    variance = variance_of_noise + float(np.sum(common**2) + np.sum(cloth**2))
     return float(velocity[0]), float(velocity[1]), math.sqrt(variance / 2.0)

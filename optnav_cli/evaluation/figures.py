@@ -16,7 +16,7 @@ from catalog.arrays import FloatArray
 from catalog.errors import DifferenceError, NothingToDoError
 from optnav_cli.evaluation.motion import Forward
 from optnav_cli.fix import Method, Solution
-from optnav_cli.output.wording import length
+from optnav_cli.output.wording import format_length
 from optnav_cli.reasons import ReasonCode, distinct_texts
 
 FROM_AFAR = tuple(reversed(Method))  # as an approaching craft uses them
@@ -303,7 +303,7 @@ def _of_solved(figures: Figures, limits: Limits) -> Iterator[LimitCheck]:
         limit = getattr(limits, name)
         if limit is not None:
             metres = " m" if name.endswith("_m") else ""
-            shown, most = length(figure) if metres else f"{figure:.3g}", f"{limit:g}{metres}"
+            shown, most = format_length(figure) if metres else f"{figure:.3g}", f"{limit:g}{metres}"
             if abs(figure - limit) < 0.01 * limit:
                 shown, most = (f"{n}{metres}" for n in distinct_texts(figure, limit, 2))
             text = f"{words.format(shown)} passes the limit of {most}"

@@ -21,8 +21,8 @@ from optnav_cli.evaluation.motion import TimedPlace, directions_of_motion, other
 from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.output.run_folder import RunFolder, read_run
-from optnav_cli.output.tables import reason_code
-from optnav_cli.output.wording import json_text
+from optnav_cli.output.tables import read_reason_code
+from optnav_cli.output.wording import format_json
 from optnav_cli.reasons import Reason
 
 log = logging.getLogger(__name__)
@@ -97,7 +97,7 @@ def _error_row(row: CsvRow) -> ErrorRow:
         solved=row["status"] == "solved",
         method=row["method"],
         camera=row["camera"],
-        reason=Reason(reason_code(row), row["reason"]),
+        reason=Reason(read_reason_code(row), row["reason"]),
         height_m=row.number("truth_height_m"),
         error_rnb_m=row.vector(ERRORS),
         sigma_rnb_m=row.vector(SIGMAS),
@@ -207,7 +207,7 @@ def write_evaluation(evaluation: Evaluation, folder: Path) -> None:
     Raises NothingToDoError when no frame is solved, OutputError when the folder is not writable.
     """
     evaluation.figures()
-    text = json_text(summary_of(evaluation)) + "\n"
+    text = format_json(summary_of(evaluation)) + "\n"
     with replacing_file(folder / EVALUATION_CSV, starts_with(b"file,utc,status,")) as path:
         EVALUATION.write(path, map(error_cells, evaluation.frames))
     with replacing_file(folder / EVALUATION_JSON, starts_with(b'{\n  "frames"')) as path:

@@ -29,7 +29,7 @@ from optnav_cli.frames.tables import (
     QUATERNION,
     STAR_TRUTH,
 )
-from optnav_cli.output.wording import json_text, table_lines
+from optnav_cli.output.wording import align_table, format_json
 
 SAME_TIME_S = 1e-3
 # Columns of a run of a cylinder with the columns of their sigmas, and the unit.
@@ -115,7 +115,7 @@ class MeasuredEvaluation:
             table.append(
                 (str(row["quantity"]), str(row["compared"]), *numbers, shown, str(row["unit"]))
             )
-        lines = [f"solved {self.solved} of {self.pictures}", *table_lines(table, left=(0, 6))]
+        lines = [f"solved {self.solved} of {self.pictures}", *align_table(table, left=(0, 6))]
         return "\n".join([*lines, *([self.remark] if self.remark else [])])
 
 
@@ -176,7 +176,7 @@ def write_measured(evaluation: MeasuredEvaluation, folder: Path) -> None:
     with replacing_file(folder / EVALUATION_CSV, starts_with(b"file,quantity,")) as path:
         MEASURED.write(path, (error.cells() for error in evaluation.errors))
     with replacing_file(folder / EVALUATION_JSON, starts_with(b'{\n  "kind"')) as path:
-        path.write_text(json_text(evaluation.summary()) + "\n", encoding="utf-8")
+        path.write_text(format_json(evaluation.summary()) + "\n", encoding="utf-8")
 
 
 def _evaluation(

@@ -10,7 +10,7 @@ from optnav_cli.evaluation.figures import (
     Spread,
     method_words,
 )
-from optnav_cli.output.wording import angle, length_unit, table_lines
+from optnav_cli.output.wording import align_table, choose_length_unit, format_angle
 
 
 def format_table(evaluation: Evaluation) -> str:
@@ -42,13 +42,13 @@ def method_lines(methods: Sequence[MethodFigures]) -> list[str]:
             unit, bias, sigma, _, largest = _cells(spread)
             rows.append((name, share, axis, unit, bias, sigma, largest, inside, nees))
             name = share = nees = ""
-    header, *lines = table_lines(rows, left=range(4))
+    header, *lines = align_table(rows, left=range(4))
     shown = [header]
     for number, method in enumerate(methods):
         shown += lines[3 * number : 3 * number + 3]
         of_range = method.range_rms
         ranges = "" if of_range is None else f"range {100.0 * of_range:.3g} %, "
-        shown.append(f"  {ranges}direction to the centre {angle(method.direction_rms)}, rms")
+        shown.append(f"  {ranges}direction to the centre {format_angle(method.direction_rms)}, rms")
     return shown
 
 
@@ -58,9 +58,9 @@ def _error_lines(figures: Figures) -> list[str]:
     for name, (spread, inside) in zip(names, _components(figures), strict=True):
         rows.append((name, *_cells(spread), inside))
     rms, largest = figures.horizontal_rms_m, figures.horizontal_max_m
-    unit = length_unit(largest)
+    unit = choose_length_unit(largest)
     rows.append(("horizontal", unit.name, "", "", unit.text(rms), unit.text(largest), ""))
-    return table_lines(rows, left=(0, 1))
+    return align_table(rows, left=(0, 1))
 
 
 def _components(figures: Figures) -> Iterator[tuple[Spread, str]]:
@@ -71,7 +71,7 @@ def _components(figures: Figures) -> Iterator[tuple[Spread, str]]:
 
 def _cells(spread: Spread) -> tuple[str, str, str, str, str]:
     """Unit, bias, sigma, rms, largest."""
-    unit = length_unit(spread.max)
+    unit = choose_length_unit(spread.max)
     sigma = "-" if spread.sigma is None else unit.text(spread.sigma)
     return (
         unit.name,
@@ -98,7 +98,7 @@ def _honesty(figures: Figures) -> Iterator[str]:
 def _notes(figures: Figures, remarks: tuple[str, ...]) -> list[str]:
     lines = []
     if figures.attitude_rms is not None and figures.attitude_max is not None:
-        rms, largest = angle(figures.attitude_rms), angle(figures.attitude_max)
+        rms, largest = format_angle(figures.attitude_rms), format_angle(figures.attitude_max)
         lines.append(f"attitude error {rms} rms, {largest} max")
     if figures.n_predicted:  # a run by the horizon alone has none
         lines += _control_points(figures)

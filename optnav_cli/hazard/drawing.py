@@ -9,7 +9,7 @@ from catalog.arrays import ByteArray, Float32Array
 from catalog.terrain.slopes import slope_degrees
 from optnav_cli.hazard.hazard_map import HazardMap
 from optnav_cli.hazard.pads import REFUSED
-from optnav_cli.output.canvas import Canvas, dimmed, eight_bits
+from optnav_cli.output.canvas import Canvas, scale_to_eight_bits, shade_picture
 
 GAP_PX, TITLE_PX = 8, 22
 MAX_SLOPE_DEG = 20.0  # the brightest of the colours
@@ -49,7 +49,9 @@ def draw_overview(mapped: HazardMap) -> ByteArray:
     """Draw picture, risk, pads and slopes side by side with captions."""
     view = mapped.view
     factor = 330 / max(view.brightness.shape)
-    gray = dimmed(eight_bits(np.where(view.valid, view.brightness, np.float32(0.0))))
+    gray = shade_picture(
+        scale_to_eight_bits(np.where(view.valid, view.brightness, np.float32(0.0)))
+    )
     panels = [
         ("picture on the ground", _scale(gray, factor)),
         ("risk: green 0, red 0.6; dark refused", _scale(_draw_risk_cells(mapped), factor)),

@@ -26,7 +26,7 @@ from catalog.terrain.slopes import (
 from optnav_cli.frames.tables import JUDGED_PADS, PADS
 from optnav_cli.hazard.settings import PADS_FILE
 from optnav_cli.output.manifest import read_manifest
-from optnav_cli.output.wording import json_text, table_lines
+from optnav_cli.output.wording import align_table, format_json
 
 JUDGED_M = 2.0  # posting that finer models are averaged to: dangerous slopes are defined on it
 MARGIN = 3  # nodes around a pad, for the base of its slopes
@@ -76,7 +76,7 @@ class PadFigures:
             (f"above {CRITICAL_DEG:g} deg", f"{self.critical_share:.2%}"),
             ("rms slope", f"{self.rms_slope_deg:.2f} deg"),
         ]
-        return "\n".join(table_lines(rows, left=(0, 1)))
+        return "\n".join(align_table(rows, left=(0, 1)))
 
     def check(self, max_dangerous_share: float | None) -> None:
         """Raise DifferenceError for a mean share above a limit."""
@@ -121,7 +121,7 @@ def evaluate_pads(folder: Path, truth: Path) -> tuple[PadFigures, list[JudgedPad
 def write_pad_evaluation(folder: Path, figures: PadFigures, pads: Sequence[JudgedPad]) -> None:
     """Write evaluation.json and evaluation.csv beside the pads."""
     with replacing_file(folder / EVALUATION_JSON, starts_with(b"{")) as path:
-        path.write_text(json_text(asdict(figures)) + "\n", encoding="utf-8")
+        path.write_text(format_json(asdict(figures)) + "\n", encoding="utf-8")
     header = ",".join(JUDGED_PADS.names).encode()
     with replacing_file(folder / EVALUATION_CSV, starts_with(header)) as path:
         JUDGED_PADS.write(path, [asdict(pad) for pad in pads])

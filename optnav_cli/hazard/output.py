@@ -25,8 +25,8 @@ from optnav_cli.hazard.hazard_map import HazardMap
 from optnav_cli.hazard.pads import REFUSED, Pad
 from optnav_cli.hazard.settings import PADS_FILE, HazardSettings
 from optnav_cli.output import foxglove
-from optnav_cli.output.canvas import eight_bits, encoded
-from optnav_cli.output.recording import MessageLog, recorded_image, topic_of
+from optnav_cli.output.canvas import encode_picture, scale_to_eight_bits
+from optnav_cli.output.recording import MessageLog, encode_recorded_image, format_topic
 
 
 @dataclass(frozen=True)
@@ -111,9 +111,9 @@ class HazardOutput:
             folder = self._folder / _make_folder_name(frame.file) if self._many else self._folder
             folder.mkdir(exist_ok=True)
             self._write_rasters(folder, frame.mapped)
-            risk = encoded(draw_risk(frame.mapped), ".png")
+            risk = encode_picture(draw_risk(frame.mapped), ".png")
             (folder / "risk.png").write_bytes(risk)
-            (folder / "hazard.png").write_bytes(encoded(draw_overview(frame.mapped), ".png"))
+            (folder / "hazard.png").write_bytes(encode_picture(draw_overview(frame.mapped), ".png"))
             self._rows += [_make_row(frame, pad) for pad in frame.mapped.pads]
             self._record(frame, risk)
 
@@ -150,14 +150,14 @@ class HazardOutput:
         name = camera.name if camera else "camera"
         message = frame.reason
         if frame.mapped is not None and camera is not None and frame.picture is not None:
-            image = recorded_image(eight_bits(frame.picture.values), camera)
-            _add_image(log, topic_of(name, "image"), name, image, "jpeg")
-            _add_image(log, topic_of(name, "risk"), name, risk, "png")
+            image = encode_recorded_image(scale_to_eight_bits(frame.picture.values), camera)
+            _add_image(log, format_topic(name, "image"), name, image, "jpeg")
+            _add_image(log, format_topic(name, "risk"), name, risk, "png")
             n_pads, squares = frame.mapped.found, len(frame.mapped.pads)
             message = f"{frame.file}: pads in {n_pads} of {squares} squares"
             factor = min(1.0, 2048 / max(camera.shape))
             log.add(
-                topic_of(name, "pads"),
+                format_topic(name, "pads"),
                 foxglove.IMAGE_ANNOTATIONS,
                 _draw_circles(frame.mapped, factor),
             )

@@ -11,7 +11,7 @@ from catalog.tables import CsvRow
 from optnav_cli.frames.tables import PADS
 from optnav_cli.hazard.settings import PADS_FILE
 from optnav_cli.output.manifest import read_manifest
-from optnav_cli.output.wording import json_text
+from optnav_cli.output.wording import format_json
 from optnav_cli.report import page as html
 
 OVERVIEW = "hazard.png"
@@ -42,7 +42,7 @@ def make_hazard_page(folder: Path) -> str:
         html.section("Result", html.tiles(numbers)),
         html.section("Maps", *_show_pictures(folder)),
         html.section("Pads", html.folded(f"{len(rows)} squares", table)),
-        html.section("How it was made", html.listing(json_text(manifest))),
+        html.section("How it was made", html.listing(format_json(manifest))),
     ]
     words = f"{len(chosen)} pads on the ground of {len(files)} pictures"
     return html.page("Hazard map", words, sections)

@@ -17,8 +17,8 @@ from catalog.terrain.dem.georeference import Georeference
 from catalog.terrain.dem.source import DemSource
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, SlopeSummary, summarize
 from optnav_cli.hazard.drawing import MAX_SLOPE_DEG, OUTSIDE_COLOUR, TEXT_COLOUR, map_colours
-from optnav_cli.output.canvas import Canvas, encoded
-from optnav_cli.output.wording import table_lines
+from optnav_cli.output.canvas import Canvas, encode_picture
+from optnav_cli.output.wording import align_table
 
 MADE = "Slopes by optnav"
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -58,7 +58,7 @@ class MeasuredSlopes:
             ("median, 95 %", f"{s.quantile_deg(0.5):.2f}, {s.quantile_deg(0.95):.2f} deg"),
             ("share with a slope", f"{s.covered:.1%}"),
         ]
-        return "\n".join(table_lines(rows, left=(0, 1)))
+        return "\n".join(align_table(rows, left=(0, 1)))
 
 
 def measure_slopes(
@@ -84,7 +84,7 @@ def measure_slopes(
         source.close()
     if output is not None and output.suffix.lower() == ".png":
         with replacing_file(output, starts_with(PNG)) as path:
-            path.write_bytes(encoded(_draw(degrees, summary), ".png"))
+            path.write_bytes(encode_picture(_draw(degrees, summary), ".png"))
     elif output is not None:
         _write(output, degrees, georeference)
     return MeasuredSlopes(dem, summary)

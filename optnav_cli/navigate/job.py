@@ -48,7 +48,13 @@ from optnav_cli.navigate.worker import (
 )
 from optnav_cli.navigate.zenith_file import zenith_rows
 from optnav_cli.orbit.fit.zenith import ZENITH_CSV
-from optnav_cli.output.manifest import hash_files, is_finished, unfinished, versions, write_manifest
+from optnav_cli.output.manifest import (
+    hash_files,
+    is_finished,
+    list_versions,
+    open_workspace,
+    write_manifest,
+)
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.recording import Recording, describe
 from optnav_cli.output.run_folder import (
@@ -98,7 +104,7 @@ def navigate_folder(
     worker = FrameWorker(given if scheduler is None else given.absolute())
     check_apart(run, worker.files())
     try:
-        with logged_stage(STAGE), unfinished(run, KIND) as workspace:
+        with logged_stage(STAGE), open_workspace(run, KIND) as workspace:
             folder = worker.folder
             log.info("rotation of the %s and its Sun by %s", folder.body.name, folder.motion.name)
             inputs = _inputs(worker, given)
@@ -331,7 +337,7 @@ class _Run:
         worker = self._worker
         relief = worker.inputs.relief
         return {
-            "optnav": versions()["optnav"],
+            "optnav": list_versions()["optnav"],
             "command": "navigate",
             "matcher": worker.given.matcher,
             "body": worker.folder.body.name,
@@ -380,7 +386,7 @@ def _key(worker: FrameWorker, given: RunInputs, inputs: dict[str, Any]) -> str:
         named.append(Path(body))
     states = [catalog.path.stat() for catalog in worker.catalogs]
     return stage_key(
-        [code_key(), code_key("optnav_cli"), versions()],
+        [code_key(), code_key("optnav_cli"), list_versions()],
         [_options(given), inputs],
         [hash_file(path) for path in named],
         # a catalog may be mended, its digest the same

@@ -22,7 +22,7 @@ from optnav_cli.frames.tables import COMMON_NUMBERS
 from optnav_cli.navigate.descent.plots import descent_plots, is_descent
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.run_folder import COMMON_CSV, COMMON_JSON, RunFolder, read_run
-from optnav_cli.output.tables import fixed
+from optnav_cli.output.tables import format_fixed
 from optnav_cli.points.plots import is_picked, plot_picked_points
 from optnav_cli.report import page as html
 from optnav_cli.report.error_plots import error_plots
@@ -160,7 +160,7 @@ def _spread(values: dict[str, float]) -> str:
     unit, name = (1e3, "km") if largest >= IN_KM_M else (1.0, "m")
     decimals = 0 if largest / unit >= 100.0 else 1
     bias, sigma, most = (
-        "-" if v is None else fixed(v / unit, decimals).replace("-", "\N{MINUS SIGN}")
+        "-" if v is None else format_fixed(v / unit, decimals).replace("-", "\N{MINUS SIGN}")
         for v in (values["bias_m"], values["sigma_m"], largest)
     )
     return f"{bias} / {sigma} / {most} {name}"
@@ -315,15 +315,15 @@ def _frames(solutions: Sequence[Solution]) -> Markup:
     for s in solutions:
         place = ["unsolved", "", ""]
         if s.position_m is not None:
-            place = [fixed(float(v) / 1e3, 4) for v in s.position_m]
+            place = [format_fixed(float(v) / 1e3, 4) for v in s.position_m]
         sigma = None if s.covariance_m2 is None else float(np.sqrt(np.trace(s.covariance_m2) / 3.0))
         angle = None if s.attitude_sigma_rad is None else s.attitude_sigma_rad / ARCSEC
         counts = ["" if n is None else str(n) for n in (s.n_predicted, s.n_matched, s.n_used)]
         row = [s.file, s.utc, method_words(s.method) if s.method else "", *place]
-        row += [fixed(sigma, 1), fixed(angle, 1), fixed(s.residual_rms_px, 2)]
+        row += [format_fixed(sigma, 1), format_fixed(angle, 1), format_fixed(s.residual_rms_px, 2)]
         row += counts if points else []
         if limb:
-            row += ["" if s.n_limb is None else str(s.n_limb), fixed(s.arc_deg, 0)]
+            row += ["" if s.n_limb is None else str(s.n_limb), format_fixed(s.arc_deg, 0)]
         rows.append(row)
     content = html.table(header, rows, text_columns=3)
     return content if len(rows) <= ROWS_OPEN else html.folded(f"All {len(rows)} frames", content)

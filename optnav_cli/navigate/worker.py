@@ -45,13 +45,13 @@ from optnav_cli.navigate.descent.navigator import DescentNavigator
 from optnav_cli.navigate.history import NeedsPastError, UnseenPast
 from optnav_cli.navigate.inputs import open_catalogs, open_field, open_ground, whole_relief
 from optnav_cli.navigate.orbit_prior import orbit_inputs, with_orbit
-from optnav_cli.output.canvas import eight_bits
-from optnav_cli.output.overlay import overlay_png, patch_outlines
-from optnav_cli.output.recording import recorded_image
+from optnav_cli.output.canvas import scale_to_eight_bits
+from optnav_cli.output.overlay import encode_overlay, project_patches
+from optnav_cli.output.recording import encode_recorded_image
 from optnav_cli.output.run_folder import FRAMES
 from optnav_cli.points.method import PickedFrames
 from optnav_cli.reasons import Reason, ReasonCode
-from optnav_cli.stars.sky import SkyView, StarSight, star_sight
+from optnav_cli.stars.sky import SkyView, StarSight, find_star_attitude
 
 STARS = "stars"  # the question of a frame's answers
 REMARKS = "remarks on the picture"  # likewise; kept where there are some
@@ -315,7 +315,9 @@ class FrameWorker:
         view = SkyView(self.folder.body, frame.tdb_s, distance, self._stars)
         if STARS not in answers:
             picture = self._picture(frame, camera)
-            answers[STARS] = pack(star_sight(picture.values, picture.saturation, camera, view))
+            answers[STARS] = pack(
+                find_star_attitude(picture.values, picture.saturation, camera, view)
+            )
         sight = unpack(answers[STARS], StarSight)
         if sight.camera_from_inertial is None:
             text = f"no attitude: the quaternion is empty, and the stars give none: {sight.reason}"
@@ -345,10 +347,10 @@ class FrameWorker:
         if camera is not None and not frame.problem:
             try:
                 gray, undrawn = self._shown(frame, camera)
-                image = image or recorded_image(gray, camera)
+                image = image or encode_recorded_image(gray, camera)
                 if row is not None:
                     outlines = _patch_outlines(row, camera, self.inputs.points)
-                    overlay = overlay_png(gray, row, outlines)
+                    overlay = encode_overlay(gray, row, outlines)
             except DataError:  # its row says so
                 pass
             except FRAME_FAULTS as error:
@@ -370,7 +372,7 @@ class FrameWorker:
         Also why a picture that is there is not shown.
         """
         try:
-            return eight_bits(self._picture(frame, camera).values), ""
+            return scale_to_eight_bits(self._picture(frame, camera).values), ""
         except PictureSizeError:
             raise
         except DataError as error:
@@ -465,7 +467,7 @@ def _patch_outlines(
         projection = reference.projection
         height = float(projection.height_of(reference.point.xyz_m))
         pose = fix.position_m, fix.camera_from_body
-        outlines[match.catalog, match.cp_id] = patch_outlines(
+        outlines[match.catalog, match.cp_id] = project_patches(
             projection, height, sizes, camera, *pose
         )
     return outlines

@@ -20,7 +20,7 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.observation import FROM_FILE
 from optnav_cli.orbit.fit.folder import stated_turn
 from optnav_cli.orbit.fit.zenith import zenith_distances, zenith_row
-from optnav_cli.stars.zenith_pair import SightPlace, navigation_stars, zenith_pair
+from optnav_cli.stars.zenith_pair import SightPlace, choose_zenith_pair, list_navigation_stars
 
 LIMB = (Method.HORIZON, Method.HORIZON_SPHERE)
 STARS = "stars"
@@ -43,7 +43,7 @@ def zenith_rows(folder: Folder, solutions: Sequence[Solution]) -> list[dict[str,
         return []
     places = np.array([_inertial(folder, solution, time)[0] for time, _, solution in seen])
     pole = _pole(places)
-    catalog, numbers = bright_stars(), navigation_stars()
+    catalog, numbers = bright_stars(), list_navigation_stars()
     rows: list[dict[str, object]] = []
     before: float | None = None
     for (time, frame, solution), place in zip(seen, places, strict=True):
@@ -57,7 +57,7 @@ def zenith_rows(folder: Folder, solutions: Sequence[Solution]) -> list[dict[str,
             folder.motion.sun_inertial(time),
             _neighbours(folder, time),
         )
-        chosen = zenith_pair(where, pole, directions)
+        chosen = choose_zenith_pair(where, pole, directions)
         rows += _rows(frame, directions[chosen], _inertial(folder, solution, time))
     return rows
 

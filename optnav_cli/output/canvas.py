@@ -29,7 +29,7 @@ GRAY_STEP = 4  # levels of gray are thinned out: noise takes most of a PNG's byt
 SHADE = 0.8  # the picture is dimmed a little under the marks
 
 
-def eight_bits(picture: NDArray[np.generic]) -> ByteArray:
+def scale_to_eight_bits(picture: NDArray[np.generic]) -> ByteArray:
     """Stretch a picture (h, w) of any number type to 8 bits; what is not finite is black.
 
     A small disc in a wide sky is stretched by its own light, not by the sky's noise.
@@ -44,16 +44,16 @@ def eight_bits(picture: NDArray[np.generic]) -> ByteArray:
     most = float(np.max(values))
     if not np.isfinite(most):
         most = float(np.max(values, where=np.isfinite(values), initial=-np.inf))
-    high = max(high, _light(values, sample, most))
+    high = max(high, _find_light_level(values, sample, most))
     if high <= low:  # one value nearly everywhere: show it as what it is
         low, high = min(low, 0.0), max(high, low + 1.0, 255.0)
     # counts are few different numbers: a table of them is quicker than a power for each pixel
     if float(np.min(values)) >= 0.0 and most < TABLE:
-        shades = _gray(np.arange(int(most) + 1, dtype=np.float32), low, high)
+        shades = _shade(np.arange(int(most) + 1, dtype=np.float32), low, high)
         looked_up = np.empty(values.shape, dtype=np.uint8)
         if _look_up(values, shades, looked_up):
             return looked_up
-    return _gray(np.nan_to_num(values, nan=low), low, high)
+    return _shade(np.nan_to_num(values, nan=low), low, high)
 
 
 @kernel
@@ -73,14 +73,14 @@ def _look_up(values: Float32Array, shades: ByteArray, found: ByteArray) -> bool:
     return True
 
 
-def _gray(values: Float32Array, low: float, high: float) -> ByteArray:
+def _shade(values: Float32Array, low: float, high: float) -> ByteArray:
     scaled = np.clip((values - low) / (high - low), 0.0, 1.0)
     levels: ByteArray = np.rint(255.0 * scaled**GAMMA).astype(np.uint8)
     return levels
 
 
-def _light(values: Float32Array, sample: Float32Array, most: float) -> float:
-    """Nearly the brightest of what is lit in a picture of sky; minus infinity for nothing.
+def _find_light_level(values: Float32Array, sample: Float32Array, most: float) -> float:
+    """Find nearly the brightest of what is lit in a picture of sky; minus infinity for nothing.
 
     most  the highest finite value
     """
@@ -92,13 +92,13 @@ def _light(values: Float32Array, sample: Float32Array, most: float) -> float:
     return float(np.percentile(lit, LIT_BRIGHT)) if lit.size else -np.inf
 
 
-def shrink_factor(width_px: int, height_px: int, longest_px: int) -> float:
-    """The factor, at most 1, that brings the longer side down to `longest_px`."""
+def compute_shrink_factor(width_px: int, height_px: int, longest_px: int) -> float:
+    """Compute the factor, at most 1, that brings the longer side down to `longest_px`."""
     return min(1.0, longest_px / max(width_px, height_px, 1))
 
 
-def resized(picture: ByteArray, factor: float) -> ByteArray:
-    """A picture scaled by area means; both sides keep at least one pixel."""
+def resize_picture(picture: ByteArray, factor: float) -> ByteArray:
+    """Scale a picture by area means; both sides keep at least one pixel."""
     if factor == 1.0:
         return picture
     height, width = (max(1, round(side * factor)) for side in picture.shape[:2])
@@ -106,8 +106,8 @@ def resized(picture: ByteArray, factor: float) -> ByteArray:
     return smaller.astype(np.uint8, copy=False)
 
 
-def encoded(picture: ByteArray, suffix: str, quality: int = 85) -> bytes:
-    """The bytes of a picture as ".png" or ".jpg" (`quality` 0..100 for the latter)."""
+def encode_picture(picture: ByteArray, suffix: str, quality: int = 85) -> bytes:
+    """Encode a picture as ".png" or ".jpg" (`quality` 0..100 for the latter)."""
     jpeg = suffix == ".jpg"
     options = (
         [cv2.IMWRITE_JPEG_QUALITY, quality]
@@ -136,47 +136,47 @@ class Canvas:
     origin: tuple[int, int] = (0, 0)
 
     def place(self, pixels: FloatArray) -> Int32Array:
-        """(..., 2) frame pixels as OpenCV's fixed-point canvas coordinates."""
+        """Return frame pixels (..., 2) as OpenCV's fixed-point canvas coordinates."""
         scaled = (np.asarray(pixels) - self.origin + 0.5) * self.factor - 0.5
         places: Int32Array = np.rint(scaled * 2**SUBPIXEL_BITS).astype(np.int32)
         return places
 
     def line(self, pixels: FloatArray, colour: Bgr, width: int, closed: bool = False) -> None:
-        """A line through frame pixels (n, 2), so many canvas pixels wide."""
+        """Draw a line through frame pixels (n, 2), so many canvas pixels wide."""
         points = self.place(pixels)
         cv2.polylines(self.image, [points], closed, colour, width, cv2.LINE_AA, SUBPIXEL_BITS)
 
     def ring(self, pixel: FloatArray, radius: float, colour: Bgr, width: int = 2) -> None:
-        """A circle about a frame pixel, its radius and width in canvas pixels; width -1: filled."""
+        """Draw a circle about a frame pixel, sizes in canvas pixels; width -1: filled."""
         x, y = (int(v) for v in self.place(pixel))
         r = int(radius * 2**SUBPIXEL_BITS)
         cv2.circle(self.image, (x, y), r, colour, width, cv2.LINE_AA, SUBPIXEL_BITS)
 
     def cross(self, pixel: FloatArray, arm: float, colour: Bgr, width: int = 2) -> None:
-        """A slanted cross, arms in canvas pixels."""
+        """Draw a slanted cross, arms in canvas pixels."""
         reach = arm / self.factor
         for dx, dy in ((reach, reach), (reach, -reach)):
             self.line(np.array([pixel - (dx, dy), pixel + (dx, dy)]), colour, width)
 
     def diamond(self, pixel: FloatArray, reach: float, colour: Bgr) -> None:
-        """A hollow square on its corner, half its diagonal in canvas pixels."""
+        """Draw a hollow square on its corner, half its diagonal in canvas pixels."""
         corners = np.array([(0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)])
         self.line(pixel + corners * (reach / self.factor), colour, 1, closed=True)
 
     def aim(self, pixel: FloatArray, reach: float, colour: Bgr) -> None:
-        """Four strokes towards a frame pixel that leave it free, in canvas pixels."""
+        """Draw four strokes towards a frame pixel that leave it free, in canvas pixels."""
         for dx, dy in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)):
             ends = np.array([0.35, 1.0])[:, None] * reach / self.factor * np.array([dx, dy])
             self.line(pixel + ends, colour, 2)
 
     def dots(self, pixels: FloatArray, colour: Bgr, radius: float = 2.0) -> None:
-        """Discs about frame pixels (n, 2), their radius in canvas pixels."""
+        """Draw discs about frame pixels (n, 2), their radius in canvas pixels."""
         r = int(radius * 2**SUBPIXEL_BITS)
-        for place in self.place(pixels).tolist():
-            cv2.circle(self.image, place, r, colour, -1, cv2.LINE_AA, SUBPIXEL_BITS)
+        for centre in self.place(pixels).tolist():
+            cv2.circle(self.image, centre, r, colour, -1, cv2.LINE_AA, SUBPIXEL_BITS)
 
     def text(self, words: str, x: float, y: float, colour: Bgr) -> None:
-        """Words with a dark rim, their lower left corner at canvas pixel x, y."""
+        """Draw words with a dark rim, their lower left corner at canvas pixel x, y."""
         at = round(x), round(y)
         # A rim by shifting: OpenCV 5 spaces thick letters wider, so a thick copy would not fit.
         for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):
@@ -185,13 +185,13 @@ class Canvas:
         cv2.putText(self.image, words, at, FONT, TEXT_SIZE, colour, 1, cv2.LINE_AA)
 
 
-def text_width(words: str) -> int:
-    """How wide `Canvas.text` writes, canvas pixels."""
+def measure_text(words: str) -> int:
+    """Measure how wide `Canvas.draw_text` writes, canvas pixels."""
     (width, _), _ = cv2.getTextSize(words, FONT, TEXT_SIZE, 1)
     return int(width)
 
 
-def dimmed(gray: ByteArray) -> ByteArray:
-    """A picture (h, w) as what marks are drawn on."""
+def shade_picture(gray: ByteArray) -> ByteArray:
+    """Shade a picture (h, w) for marks to be drawn on."""
     dim = np.asarray(gray * SHADE, dtype=np.uint8) // GRAY_STEP * GRAY_STEP
     return cv2.cvtColor(dim, cv2.COLOR_GRAY2BGR).astype(np.uint8, copy=False)

@@ -35,16 +35,16 @@ _KINDS: dict[str, Schema] = {
 }
 
 
-def _choice(name: str, *values: str) -> None:
-    """A kind of field that is one of some numbers, counted from 0."""
+def _define_choice(name: str, *values: str) -> None:
+    """Define a kind of field that is one of some numbers, counted from 0."""
     options = [{"title": value, "const": number} for number, value in enumerate(values)]
     _KINDS[name] = {"title": f"foxglove.{name}", "oneOf": options}
 
 
-_choice("LogLevel", "UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
-_choice("PointsAnnotationType", "UNKNOWN", "POINTS", "LINE_LOOP", "LINE_STRIP", "LINE_LIST")
-_choice("LineType", "LINE_STRIP", "LINE_LOOP", "LINE_LIST")
-_choice("SceneEntityDeletionType", "MATCHING_ID", "ALL")
+_define_choice("LogLevel", "UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
+_define_choice("PointsAnnotationType", "UNKNOWN", "POINTS", "LINE_LOOP", "LINE_STRIP", "LINE_LIST")
+_define_choice("LineType", "LINE_STRIP", "LINE_LOOP", "LINE_LIST")
+_define_choice("SceneEntityDeletionType", "MATCHING_ID", "ALL")
 # NAME: description: fields as NAME:KIND; KIND[] and KIND[N] are lists, of N items. Each message is
 # a kind of field for those after it.
 _MESSAGES = """

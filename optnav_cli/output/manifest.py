@@ -39,11 +39,11 @@ def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str | None]:
     return hashes
 
 
-def versions() -> dict[str, str]:
-    """Versions of optnav, of Python and of the libraries that its numbers depend on."""
-    found = {"optnav": _version("optnav"), "python": platform.python_version()}
-    found.update({name: _version(name) for name in LIBRARIES})
-    return found
+def list_versions() -> dict[str, str]:
+    """List versions of optnav, of Python and of the libraries that its numbers depend on."""
+    versions_by_name = {"optnav": _read_version("optnav"), "python": platform.python_version()}
+    versions_by_name.update({name: _read_version(name) for name in LIBRARIES})
+    return versions_by_name
 
 
 def write_manifest(
@@ -74,21 +74,23 @@ def write_manifest(
         "options": dict(options),
         "inputs": dict(inputs),
         "results": dict(results or {}),
-        "versions": versions(),
-        "started_utc": _utc(started),
-        "finished_utc": _utc(datetime.now(UTC)),
+        "versions": list_versions(),
+        "started_utc": _format_utc(started),
+        "finished_utc": _format_utc(datetime.now(UTC)),
     }
     if key:
         paths = (path for path in folder.rglob("*") if path.is_file())
         names = [path.relative_to(folder).as_posix() for path in paths]
         manifest |= {"key": key, "outputs_sha256": hash_files(folder, names)}
-    text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False, default=_plain)
+    text = json.dumps(
+        manifest, indent=2, ensure_ascii=False, allow_nan=False, default=_convert_plain
+    )
     # not every name of a file is text: what is none is written as "?"
     put_file(folder / MANIFEST, f"{text}\n".encode("utf-8", "replace"))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """The manifest of an output. Raises DataError when there is none or it is damaged."""
+    """Read the manifest of an output. Raises DataError when there is none or it is damaged."""
     path = folder / MANIFEST
     data = read_input(path, "manifest", "name an output of optnav", limit=MAX_MANIFEST_BYTES)
     try:
@@ -101,26 +103,26 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 @cache  # finding it takes 1 ms a library
-def _version(name: str) -> str:
+def _read_version(name: str) -> str:
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return "not installed"
 
 
-def _utc(time: datetime) -> str:
+def _format_utc(time: datetime) -> str:
     return time.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-def _plain(value: object) -> object:
+def _convert_plain(value: object) -> object:
     if isinstance(value, Path):
         return str(value)
     raise TypeError(f"{value!r} has no place in a manifest")
 
 
 @contextmanager
-def unfinished(output: Path, kind: str) -> Iterator[Workspace]:
-    """The work folder OUTPUT.work of an output folder, which no other process writes meanwhile.
+def open_workspace(output: Path, kind: str) -> Iterator[Workspace]:
+    """Open the work folder OUTPUT.work of an output folder, locked against other processes.
 
     It is gone when the body ends well; a stopped command leaves it, and the next one goes on.
     Raises OutputError for a place where the output cannot be.

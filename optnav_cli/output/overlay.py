@@ -17,11 +17,11 @@ from optnav_cli.frames.frames import MAX_NAME_BYTES
 from optnav_cli.output.canvas import (
     SUBPIXEL_BITS,
     Canvas,
-    dimmed,
-    encoded,
-    resized,
-    shrink_factor,
-    text_width,
+    compute_shrink_factor,
+    encode_picture,
+    measure_text,
+    resize_picture,
+    shade_picture,
 )
 from optnav_cli.output.recording import describe
 
@@ -44,7 +44,7 @@ EDGE_POINTS = 5  # a patch's side is drawn through so many points, for fisheyes
 
 
 def draw_outline(canvas: Canvas, marks: OutlineMarks) -> None:
-    """Limb points, used and left out, the fitted limb, enlarged residuals; or a disc's centre."""
+    """Draw limb points, used and left out, the fitted limb, residuals; or a disc's centre."""
     if marks.is_disc:
         canvas.aim(marks.points_px[0], AIM_PX, DISC)
         return
@@ -55,8 +55,8 @@ def draw_outline(canvas: Canvas, marks: OutlineMarks) -> None:
             canvas.line(curve, colour, 1)
 
 
-def put_inset(canvas: Canvas, gray: ByteArray, marks: OutlineMarks) -> None:
-    """A small outline once more, enlarged, in the corner away from it."""
+def draw_inset(canvas: Canvas, gray: ByteArray, marks: OutlineMarks) -> None:
+    """Draw a small outline once more, enlarged, in the corner away from it."""
     low, high = marks.points_px.min(axis=0), marks.points_px.max(axis=0)
     side = round(max(INSET_ROOM * float((high - low).max()), MIN_INSET_PX))
     if side > MAX_INSET * min(gray.shape):
@@ -68,7 +68,7 @@ def put_inset(canvas: Canvas, gray: ByteArray, marks: OutlineMarks) -> None:
     size = round(INSET_SHARE * min(canvas.image.shape[:2]))
     part = gray[y : y + side, x : x + side]
     crop = cv2.resize(part, (size, size), interpolation=cv2.INTER_NEAREST)
-    inset = Canvas(dimmed(np.asarray(crop, np.uint8)), size / side, (x, y))
+    inset = Canvas(shade_picture(np.asarray(crop, np.uint8)), size / side, (x, y))
     draw_outline(inset, marks)
     corners = np.array([(x, y), (x + side, y), (x + side, y + side), (x, y + side)]) - 0.5
     canvas.line(corners, FRAME, 1, closed=True)
@@ -90,15 +90,15 @@ def draw_overlay(
 ) -> ByteArray:
     """Draw a frame's control points, and what is known of the body's outline, on its picture.
 
-    gray      (h, w) the picture as `eight_bits` makes it
-    outlines  closed lines (n, 2), px, by catalog and control point id, see `patch_outlines`
+    gray      (h, w) the picture of `scale_to_eight_bits`
+    outlines  closed lines (n, 2), px, by catalog and control point id, see `project_patches`
     marks     limb points with the fitted limb, or a disc's centre
     Returns (h', w', 3) uint8 in OpenCV's order of colours, its longer side at most longest_px,
     with a strip below for the legend and the result.
     """
     matches = list(matches)
-    factor = shrink_factor(gray.shape[1], gray.shape[0], longest_px)
-    canvas = Canvas(dimmed(resized(gray, factor)), factor)
+    factor = compute_shrink_factor(gray.shape[1], gray.shape[0], longest_px)
+    canvas = Canvas(shade_picture(resize_picture(gray, factor)), factor)
     used = [
         (outlines or {}).get((match.catalog, match.cp_id), ()) for match in matches if match.used
     ]
@@ -108,19 +108,19 @@ def draw_overlay(
         draw_outline(canvas, marks)
     _draw_matches(canvas, matches)
     if marks is not None:
-        put_inset(canvas, gray, marks)
-    return np.vstack([canvas.image, _legend(canvas.image.shape[1], solution, matches, marks)])
+        draw_inset(canvas, gray, marks)
+    return np.vstack([canvas.image, _draw_legend(canvas.image.shape[1], solution, matches, marks)])
 
 
-def overlay_png(gray: ByteArray, solution: Solution, outlines: Outlines | None = None) -> bytes:
-    """The bytes of a frame's overlay, with the evidence of its solution; see `draw_overlay`."""
+def encode_overlay(gray: ByteArray, solution: Solution, outlines: Outlines | None = None) -> bytes:
+    """Encode a frame's overlay, with the evidence of its solution; see `draw_overlay`."""
     tried = solution.evidence
     drawn = draw_overlay(gray, solution, tried.matches, outlines, marks=tried.outline)
-    return encoded(drawn, ".png")
+    return encode_picture(drawn, ".png")
 
 
 def overlay_path(folder: Path, file: str) -> Path:
-    """Where a frame's overlay is: the picture's whole name, so that a.png and a.tif differ.
+    """Return the path of a frame's overlay, by the full name: a.png and a.tif differ.
 
     A name too long for a file is cut, and made unique by its hash.
     """
@@ -132,7 +132,7 @@ def overlay_path(folder: Path, file: str) -> Path:
     return folder / f"{name}.png"
 
 
-def patch_outlines(
+def project_patches(
     projection: MapProjection,
     height_m: float,
     half_sizes_m: Iterable[float],
@@ -140,22 +140,22 @@ def patch_outlines(
     position_m: FloatArray,
     camera_from_body: Rotation,
 ) -> list[FloatArray]:
-    """The borders (n, 2), px, of a control point's square patches seen from a pose, finest first.
+    """Project the borders (n, 2), px, of a control point's square patches, finest first.
 
     height_m      of the point above the sphere or plane of the map: the border is drawn level
     half_sizes_m  half a side of each level's patch, (size - 1) / 2 * posting
     """
     side = np.linspace(-1.0, 1.0, EDGE_POINTS)[:-1]
-    one = np.ones_like(side)
-    x = np.concatenate([side, one, -side, -one])
-    y = np.concatenate([one, -side, -one, side])
+    ones = np.ones_like(side)
+    x = np.concatenate([side, ones, -side, -ones])
+    y = np.concatenate([ones, -side, -ones, side])
     matrix, heights = camera_from_body.as_matrix(), np.full(x.shape, height_m)
     borders = (projection.points(half * x, half * y, heights) for half in half_sizes_m)
     return [camera.project_from_body(border, position_m, matrix) for border in borders]
 
 
 def _draw_patches(canvas: Canvas, patches: Sequence[FloatArray], level: int) -> None:
-    """Outlines of a level's patches; none where they would cover the picture with a net."""
+    """Draw outlines of a level's patches; none where they would cover the picture with a net."""
     shown = [patch for patch in patches if np.isfinite(patch).all()]
     if not shown:
         return
@@ -169,7 +169,7 @@ def _draw_patches(canvas: Canvas, patches: Sequence[FloatArray], level: int) -> 
 
 
 def _draw_matches(canvas: Canvas, matches: Sequence[MatchRow]) -> None:
-    """Each point's marks, the smaller the denser they stand, and its number where there is room."""
+    """Draw each point's marks, smaller where dense, and its number where there is room."""
     drawn = [match for match in matches if np.isfinite(match.predicted_px).all()]
     if not drawn:
         return
@@ -188,10 +188,13 @@ def _draw_matches(canvas: Canvas, matches: Sequence[MatchRow]) -> None:
         if match.measured_px is None:
             continue
         words, (x, y) = match.label, places[number]
-        long, away = text_width(words), half + 2.0
+        long, offset = measure_text(words), half + 2.0
         for left, foot in (
-            *((x + away, y - away + 3.0), (x + away, y + away + LABEL_PX - 3.0)),
-            *((x - away - long, y - away + 3.0), (x - away - long, y + away + LABEL_PX - 3.0)),
+            *((x + offset, y - offset + 3.0), (x + offset, y + offset + LABEL_PX - 3.0)),
+            *(
+                (x - offset - long, y - offset + 3.0),
+                (x - offset - long, y + offset + LABEL_PX - 3.0),
+            ),
         ):
             box = np.array([left, foot - LABEL_PX, left + long, foot])
             inside = box[0] >= 0.0 and box[1] >= 0.0 and box[2] < width and box[3] < height
@@ -219,21 +222,21 @@ def _draw_match(canvas: Canvas, match: MatchRow, scale: float) -> None:
         canvas.line(np.array([match.predicted_px, match.measured_px]), REJECTED, 1)
 
 
-def _entries(
+def _list_entries(
     matches: Sequence[MatchRow], marks: OutlineMarks | None
 ) -> list[tuple[str, tuple[int, int, int], str]]:
-    """Signs, colours and words of the legend, of what is drawn alone."""
+    """List signs, colours and words of the legend, for what is drawn."""
     residual = ("-", RESIDUAL, f"residual x{RESIDUALS_ENLARGED:.0f}")
     items = []
     if matches:
-        found = sum(match.measured_px is not None for match in matches)
+        n_measured = sum(match.measured_px is not None for match in matches)
         used = sum(match.used for match in matches)
         if any(match.prior_px is not None for match in matches):
             items.append(("d", PRIOR, "predicted by the prior"))
         items += [
             ("o", PREDICTED, f"by the solution ({len(matches)})"),
             ("x", FOUND, f"found and used ({used})"),
-            ("x", REJECTED, f"found, left out ({found - used})"),
+            ("x", REJECTED, f"found, left out ({n_measured - used})"),
         ]
     if marks is not None and marks.is_disc:
         return [*items, ("+", DISC, "centre of the disc")]
@@ -247,13 +250,13 @@ def _entries(
     return [*items, residual] if items else []
 
 
-def _legend(
+def _draw_legend(
     width: int, solution: Solution, matches: Sequence[MatchRow], marks: OutlineMarks | None
 ) -> ByteArray:
-    items = _entries(matches, marks)
-    widths = [text_width(words) + 44 for *_, words in items]
-    rows = _rows_of(widths, width)
-    lines = _broken(describe(solution), width - 20)
+    items = _list_entries(matches, marks)
+    widths = [measure_text(words) + 44 for *_, words in items]
+    rows = _wrap_items(widths, width)
+    lines = _wrap_words(describe(solution), width - 20)
     top = 20.0 * len(lines) + 10.0
     height = round(top) + 26 * (len(rows) if items else 0)
     strip = Canvas(np.full((height, width, 3), 24, dtype=np.uint8), 1.0)
@@ -281,8 +284,8 @@ def _legend(
     return strip.image
 
 
-def _rows_of(widths: Sequence[int], available: int) -> list[list[int]]:
-    """Indices of legend items broken into rows that fit."""
+def _wrap_items(widths: Sequence[int], available: int) -> list[list[int]]:
+    """Wrap legend items into rows that fit, by index."""
     rows: list[list[int]] = [[]]
     used = 0
     for index, width in enumerate(widths):
@@ -294,22 +297,22 @@ def _rows_of(widths: Sequence[int], available: int) -> list[list[int]]:
     return rows
 
 
-def _broken(words: str, available: int) -> list[str]:
-    """Words in lines that fit; what is longer than all of them is cut."""
+def _wrap_words(words: str, available: int) -> list[str]:
+    """Wrap words into lines that fit; cut what is longer than all of them."""
     words = words.encode("ascii", "replace").decode("ascii")  # the font has nothing else
     lines = [""]
     for word in words.split():
-        if lines[-1] and text_width(f"{lines[-1]} {word}") > available:
+        if lines[-1] and measure_text(f"{lines[-1]} {word}") > available:
             lines.append("")
         lines[-1] = f"{lines[-1]} {word}".lstrip()
     if len(lines) > MAX_LINES:
         lines = [*lines[: MAX_LINES - 1], " ".join(lines[MAX_LINES - 1 :])]
-    return [_shortened(line, available) for line in lines]
+    return [_cut_words(line, available) for line in lines]
 
 
-def _shortened(words: str, available: int) -> str:
-    if text_width(words) <= available:
+def _cut_words(words: str, available: int) -> str:
+    if measure_text(words) <= available:
         return words
-    while len(words) > 4 and text_width(f"{words}...") > available:
+    while len(words) > 4 and measure_text(f"{words}...") > available:
         words = words[: -max(1, len(words) // 16)]
     return f"{words}..."

@@ -31,7 +31,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks, Solution
 from optnav_cli.output import foxglove
-from optnav_cli.output.canvas import encoded, resized, shrink_factor
+from optnav_cli.output.canvas import compute_shrink_factor, encode_picture, resize_picture
 from optnav_cli.output.scene import (
     FOUND,
     PREDICTED,
@@ -40,10 +40,10 @@ from optnav_cli.output.scene import (
     Message,
     Rgb,
     Scene,
-    color,
-    pose_of,
+    make_color,
+    make_pose,
 )
-from optnav_cli.output.wording import length
+from optnav_cli.output.wording import format_length
 
 NO_CAMERA = "camera"  # the name of a camera that has no file
 MAX_PX = 2048  # a larger picture is recorded smaller, its calibration and marks with it
@@ -82,17 +82,17 @@ class MessageLog:
             self._file.close()
 
     def set_time(self, utc: str) -> None:
-        """The time of the messages that follow; one that is none, or is earlier, changes nothing.
+        """Set the time of the messages that follow; a wrong or earlier time changes nothing.
 
         A leap second's readings come twice: time stands still rather than going back.
         """
-        self._last_ns = max(nanoseconds(utc, self._last_ns), self._last_ns)
+        self._last_ns = max(parse_nanoseconds(utc, self._last_ns), self._last_ns)
 
     def add(self, topic: str, schema: foxglove.Schema, content: Message) -> None:
         """Add one message, stamped with the time that was set."""
-        self._put(topic, schema, _encoded(self._stamped(content)))
+        self._append(topic, schema, _encode(self._add_stamp(content)))
 
-    def _put(self, topic: str, schema: foxglove.Schema, data: bytes) -> None:
+    def _append(self, topic: str, schema: foxglove.Schema, data: bytes) -> None:
         title = schema["title"]
         if title not in self._schemas:
             self._schemas[title] = self._writer.register_schema(
@@ -116,12 +116,12 @@ class MessageLog:
         seconds, nanoseconds = divmod(self._last_ns, 10**9)
         return {"timestamp": {"sec": seconds, "nsec": nanoseconds}}
 
-    def _stamped(self, content: Message) -> Message:
+    def _add_stamp(self, content: Message) -> Message:
         return {**self._stamp, **content}
 
 
 class Recording(MessageLog):
-    """Writes run.mcap frame by frame."""
+    """Recording of a run, run.mcap, frame by frame."""
 
     def __init__(
         self,
@@ -153,66 +153,66 @@ class Recording(MessageLog):
     ) -> None:
         """Add what is known of one frame.
 
-        image    as `recorded_image` makes it, empty for none; camera may be None only where it is
+        image    of `encode_recorded_image`, empty for none; camera may be None only where it is
         marks    of the body's outline in it
         A frame whose time cannot be understood keeps the time of the frame before.
         """
         self.set_time(solution.utc)
         self._made = []
         name, matches = camera.name if camera else NO_CAMERA, list(matches)
-        place = topic_of(name, "")
+        topic = format_topic(name, "")
         if not self._sequence:
             self._write("/body", foxglove.SCENE_UPDATE, self._scene.body(self._stamp, self._relief))
         if camera is not None:
-            factor = shrink_factor(camera.width_px, camera.height_px, MAX_PX)
+            factor = compute_shrink_factor(camera.width_px, camera.height_px, MAX_PX)
             if image:
                 data = base64.b64encode(image).decode("ascii")
                 content: Message = {"data": data, "format": "jpeg"}
-                content |= {"frame_id": self._frame_of(name)}
-                self._write(f"{place}image", foxglove.COMPRESSED_IMAGE, self._stamped(content))
-            content = self._stamped(self._calibration(camera, factor))
-            self._write(f"{place}calibration", foxglove.CAMERA_CALIBRATION, content)
+                content |= {"frame_id": self._get_frame_name(name)}
+                self._write(f"{topic}image", foxglove.COMPRESSED_IMAGE, self._add_stamp(content))
+            content = self._add_stamp(self._describe_calibration(camera, factor))
+            self._write(f"{topic}calibration", foxglove.CAMERA_CALIBRATION, content)
             size = factor * max(camera.width_px, camera.height_px) / MAX_PX
             drawn = Annotations(self._stamp, factor, size)
             drawn.add_matches(matches)
             if marks is not None:
                 drawn.add_outline(marks)
-            self._write(f"{place}annotations", foxglove.IMAGE_ANNOTATIONS, drawn.message)
+            self._write(f"{topic}annotations", foxglove.IMAGE_ANNOTATIONS, drawn.message)
         if solution.position_m is not None and solution.camera_from_body is not None:
             self._add_pose(name, solution.position_m, solution.camera_from_body)
             if solution.prior_m is not None:
-                pose = pose_of(solution.prior_m, solution.camera_from_body)
-                content = self._stamped({"frame_id": self._body.name, "pose": pose})
-                self._write(f"{place}predicted", foxglove.POSE_IN_FRAME, content)
+                pose = make_pose(solution.prior_m, solution.camera_from_body)
+                content = self._add_stamp({"frame_id": self._body.name, "pose": pose})
+                self._write(f"{topic}predicted", foxglove.POSE_IN_FRAME, content)
         scene = self._scene.camera(self._stamp, self._last_ns, name, solution, camera)
-        self._write(f"{place}scene", foxglove.SCENE_UPDATE, scene)
+        self._write(f"{topic}scene", foxglove.SCENE_UPDATE, scene)
         points = self._scene.points(self._stamp, solution, matches)
-        self._write(f"{place}control_points", foxglove.SCENE_UPDATE, points)
-        content = self._stamped(_numbers(solution, name, self._body))
-        self._write(f"{place}solution", foxglove.SOLUTION, content)
+        self._write(f"{topic}control_points", foxglove.SCENE_UPDATE, points)
+        content = self._add_stamp(_list_numbers(solution, name, self._body))
+        self._write(f"{topic}solution", foxglove.SOLUTION, content)
         level = foxglove.INFO if solution.solved else foxglove.WARNING
         content = {"level": level, "message": describe(solution), "name": "optnav"}
         content |= {"file": solution.file, "line": 0}
-        self._write("/log", foxglove.LOG, self._stamped(content))
+        self._write("/log", foxglove.LOG, self._add_stamp(content))
         for message in self._made:  # all or none: a frame that cannot be drawn leaves no half of it
-            self._put(*message)
+            self._append(*message)
 
     def _add_pose(self, name: str, position_m: FloatArray, camera_from_body: Rotation) -> None:
-        body, pose = self._body.name, pose_of(position_m, camera_from_body)
-        content = self._stamped({"frame_id": body, "pose": pose})
-        self._write(topic_of(name, "pose"), foxglove.POSE_IN_FRAME, content)
-        content = {"parent_frame_id": body, "child_frame_id": self._frame_of(name)}
+        body, pose = self._body.name, make_pose(position_m, camera_from_body)
+        content = self._add_stamp({"frame_id": body, "pose": pose})
+        self._write(format_topic(name, "pose"), foxglove.POSE_IN_FRAME, content)
+        content = {"parent_frame_id": body, "child_frame_id": self._get_frame_name(name)}
         content |= {"translation": pose["position"], "rotation": pose["orientation"]}
-        self._write("/tf", foxglove.FRAME_TRANSFORM, self._stamped(content))
+        self._write("/tf", foxglove.FRAME_TRANSFORM, self._add_stamp(content))
 
-    def _frame_of(self, name: str) -> str:
-        """The frame of a camera; never that of the body."""
+    def _get_frame_name(self, name: str) -> str:
+        """Get the frame of a camera; never that of the body."""
         return name if name != self._body.name else f"{name} camera"
 
     def _write(self, topic: str, schema: foxglove.Schema, content: Message) -> None:
-        self._made.append((topic, schema, _encoded(content)))
+        self._made.append((topic, schema, _encode(content)))
 
-    def _calibration(self, camera: Camera, factor: float) -> Message:
+    def _describe_calibration(self, camera: Camera, factor: float) -> Message:
         # A scaled picture keeps its corners, and pixel centres stand half a pixel inside them.
         cx, cy = ((c + 0.5) * factor - 0.5 for c in camera.principal_point_px)
         focal = camera.focal_length_px * factor
@@ -223,7 +223,7 @@ class Recording(MessageLog):
             terms = (*terms, 0.0)
         pinhole = "plumb_bob" if len(terms) == 5 else "rational_polynomial"  # of 8 terms
         return {
-            "frame_id": self._frame_of(camera.name),
+            "frame_id": self._get_frame_name(camera.name),
             "width": max(1, round(camera.width_px * factor)),
             "height": max(1, round(camera.height_px * factor)),
             "distortion_model": "kannala_brandt" if fisheye else pinhole,
@@ -234,8 +234,8 @@ class Recording(MessageLog):
         }
 
 
-def _encoded(content: Message) -> bytes:
-    """A message as JSON. Raises ValueError for a number that is not finite."""
+def _encode(content: Message) -> bytes:
+    """Encode a message as JSON. Raises ValueError for a number that is not finite."""
     try:
         data = msgspec.json.encode(content, enc_hook=float)
         # null stands for None, or for a number that is not finite: json tells them apart
@@ -245,65 +245,65 @@ def _encoded(content: Message) -> bytes:
     return data if exact else json.dumps(content, allow_nan=False).encode()
 
 
-def recorded_image(gray: ByteArray, camera: Camera) -> bytes:
-    """A camera's picture (h, w), as `eight_bits` makes it, as it is recorded: a JPEG of MAX_PX."""
-    factor = shrink_factor(camera.width_px, camera.height_px, MAX_PX)
-    return encoded(resized(gray, factor), ".jpg", JPEG_QUALITY)
+def encode_recorded_image(gray: ByteArray, camera: Camera) -> bytes:
+    """Encode a camera's picture (h, w), from `scale_to_eight_bits`, as a JPEG of MAX_PX."""
+    factor = compute_shrink_factor(camera.width_px, camera.height_px, MAX_PX)
+    return encode_picture(resize_picture(gray, factor), ".jpg", JPEG_QUALITY)
 
 
-def topic_of(camera: str, what: str) -> str:
-    """The topic of something of a camera."""
+def format_topic(camera: str, what: str) -> str:
+    """Format the topic of something of a camera."""
     return f"/camera/{camera}/{what}"
 
 
-def _numbers(solution: Solution, camera: str, body: Body) -> Message:
-    """An optnav.Solution: what is unknown is left out."""
+def _list_numbers(solution: Solution, camera: str, body: Body) -> Message:
+    """List the fields of an optnav.Solution: what is unknown is left out."""
     texts = {name: str(getattr(solution, name, "")) for name in foxglove.SOLUTION_TEXTS}
-    found: dict[str, float | None] = {
+    numbers: dict[str, float | None] = {
         name: getattr(solution, name) for name in (*foxglove.SOLUTION_COUNTS, "residual_rms_px")
     }
-    found["arc_deg"] = solution.arc_deg
+    numbers["arc_deg"] = solution.arc_deg
     if solution.attitude_sigma_rad is not None:
-        found["attitude_sigma_arcsec"] = solution.attitude_sigma_rad / ARCSEC
+        numbers["attitude_sigma_arcsec"] = solution.attitude_sigma_rad / ARCSEC
     position, covariance = solution.position_m, solution.covariance_m2
     if position is not None:
         lat, lon, radius = (float(v) for v in latlon_from_xyz(position))
-        found |= {"lat_deg": float(np.degrees(lat)), "lon_deg": float(np.degrees(lon))}
-        found["height_m"] = radius - body.radius_m
+        numbers |= {"lat_deg": float(np.degrees(lat)), "lon_deg": float(np.degrees(lon))}
+        numbers["height_m"] = radius - body.radius_m
         if body.flattening:
             geodetic, _, height = geodetic_from_xyz(position, body.radii_m)
-            found["lat_geodetic_deg"] = float(np.degrees(geodetic))
-            found["height_ellipsoid_m"] = float(height)
+            numbers["lat_geodetic_deg"] = float(np.degrees(geodetic))
+            numbers["height_ellipsoid_m"] = float(height)
         if solution.prior_m is not None:
-            found["moved_from_prior_m"] = float(np.linalg.norm(position - solution.prior_m))
+            numbers["moved_from_prior_m"] = float(np.linalg.norm(position - solution.prior_m))
         if covariance is not None:
             polar = np.hypot(position[0], position[1]) < 1e-9 * radius  # any direction is north
             axes = rnb_axes(position, (1.0, 0.0, 0.0) if polar else (0.0, 0.0, 1.0))
             for names, turn in (("xyz", np.eye(3)), (("up", "north", "east"), axes)):
                 sigmas = np.sqrt(np.maximum(np.diag(turn @ covariance @ turn.T), 0.0))
-                found |= {f"sigma_{n}_m": float(s) for n, s in zip(names, sigmas, strict=True)}
-            found["sigma_m"] = float(np.sqrt(np.trace(covariance) / 3.0))
-    known = {name: value for name, value in found.items() if value is not None}
+                numbers |= {f"sigma_{n}_m": float(s) for n, s in zip(names, sigmas, strict=True)}
+            numbers["sigma_m"] = float(np.sqrt(np.trace(covariance) / 3.0))
+    known = {name: value for name, value in numbers.items() if value is not None}
     return {**texts, "camera": camera, **{k: v for k, v in known.items() if np.isfinite(v)}}
 
 
 def describe(solution: Solution) -> str:
-    """A frame's result in one line."""
+    """Describe a frame's result in one line."""
     if not solution.solved or solution.covariance_m2 is None:
         return f"{solution.file}: unsolved: {solution.reason}"
     sigma = float(np.sqrt(np.trace(solution.covariance_m2) / 3.0))
     rms = "" if solution.residual_rms_px is None else f", rms {solution.residual_rms_px:.2f} px"
     remark = f" ({solution.reason})" if solution.reason else ""
-    found = f"{solution.method.replace('_', ' ')}"
+    basis = f"{solution.method.replace('_', ' ')}"
     if solution.n_used is not None:
-        found = f"{solution.n_used} of {solution.n_predicted} control points"
+        basis = f"{solution.n_used} of {solution.n_predicted} control points"
     elif solution.n_limb is not None:
-        found = f"{found}, {solution.n_limb} limb points"
-    return f"{solution.file}: solved: {found}{rms}, sigma {length(sigma)} an axis{remark}"
+        basis = f"{basis}, {solution.n_limb} limb points"
+    return f"{solution.file}: solved: {basis}{rms}, sigma {format_length(sigma)} an axis{remark}"
 
 
-def nanoseconds(utc: str, otherwise: int = 0) -> int:
-    """Nanoseconds since 1970 of an ISO-8601 UTC time; `otherwise` for what is no such time."""
+def parse_nanoseconds(utc: str, otherwise: int = 0) -> int:
+    """Parse an ISO-8601 UTC time to nanoseconds since 1970; `otherwise` for what is none."""
     match = _TIME.match(utc.strip())
     if match is None:  # a day of year, or no separators
         try:
@@ -323,7 +323,7 @@ def nanoseconds(utc: str, otherwise: int = 0) -> int:
 
 
 class Annotations:
-    """Collects the marks of one picture as a foxglove.ImageAnnotations message.
+    """Marks of one picture, collected to a foxglove.ImageAnnotations message.
 
     stamp   the message's time, as a field of it
     factor  recorded pixels a pixel of the frame
@@ -338,11 +338,11 @@ class Annotations:
 
     @property
     def message(self) -> Message:
-        """What was added so far."""
+        """Message of the marks added so far."""
         return {"circles": self._circles, "points": self._points, "texts": self._texts}
 
     def add_matches(self, matches: Iterable[MatchRow]) -> None:
-        """Where points were expected, by the prior and at last, and found, as far as known."""
+        """Add where points were expected, by the prior and at last, and measured."""
         for match in matches:
             marks = [(match.predicted_px, PREDICTED, 1.6 * MARK_PX)]
             if match.prior_px is not None:
@@ -351,7 +351,7 @@ class Annotations:
                 marks.append((match.measured_px, FOUND if match.used else REJECTED, MARK_PX))
             for pixel, rgb, diameter in marks:
                 if np.isfinite(pixel).all():
-                    self._circle(pixel, rgb, diameter, _about(match))
+                    self._add_circle(pixel, rgb, diameter, _describe_match(match))
             last, rgb, _ = marks[-1]
             if np.isfinite(last).all():
                 text = {
@@ -359,42 +359,44 @@ class Annotations:
                     "position": self._place(last + MARK_PX * self._size / self._factor),
                     "text": match.label,
                     "font_size": TEXT_PX * self._size,
-                    "text_color": color(rgb),
+                    "text_color": make_color(rgb),
                     "background_color": _CLEAR,
                     "metadata": [],
                 }
                 self._texts.append(text)
 
     def add_outline(self, outline: OutlineMarks) -> None:
-        """Limb points, used and left out, with the fitted limb; or a disc's centre."""
+        """Add limb points, used and left out, with the fitted limb; or a disc's centre."""
         if outline.is_disc:
-            self._circle(outline.points_px[0], DISC, DISC_PX, [])
+            self._add_circle(outline.points_px[0], DISC, DISC_PX, [])
             return
         for chosen, rgb in ((outline.used, FOUND), (~outline.used, REJECTED)):
             if chosen.any():
-                self._line(foxglove.POINTS, outline.points_px[chosen], rgb, POINT_PX)
+                self._add_line(foxglove.POINTS, outline.points_px[chosen], rgb, POINT_PX)
         for curve in outline.curves(0.0):
-            self._line(foxglove.LINE_STRIP, curve, PREDICTED, LINE_PX)
+            self._add_line(foxglove.LINE_STRIP, curve, PREDICTED, LINE_PX)
 
-    def _circle(self, pixel: FloatArray, rgb: Rgb, diameter: float, about: list[Message]) -> None:
+    def _add_circle(
+        self, pixel: FloatArray, rgb: Rgb, diameter: float, about: list[Message]
+    ) -> None:
         circle = {
             **self._stamp,
             "position": self._place(pixel),
             "diameter": diameter * self._size,
             "thickness": LINE_PX * self._size,
             "fill_color": _CLEAR,
-            "outline_color": color(rgb),
+            "outline_color": make_color(rgb),
             "metadata": about,
         }
         self._circles.append(circle)
 
-    def _line(self, kind: int, pixels: FloatArray, rgb: Rgb, thickness: float) -> None:
+    def _add_line(self, kind: int, pixels: FloatArray, rgb: Rgb, thickness: float) -> None:
         columns = ((pixels + 0.5) * self._factor).T.tolist()
         line = {
             **self._stamp,
             "type": kind,
             "points": [{"x": x, "y": y} for x, y in zip(*columns, strict=True)],
-            "outline_color": color(rgb),
+            "outline_color": make_color(rgb),
             "outline_colors": [],
             "fill_color": _CLEAR,
             "thickness": thickness * self._size,
@@ -407,7 +409,7 @@ class Annotations:
         return {"x": x, "y": y}
 
 
-def _about(match: MatchRow) -> list[Message]:
+def _describe_match(match: MatchRow) -> list[Message]:
     about = {"id": match.label, "level": str(match.level)}
     if match.score is not None:
         about["score"] = f"{match.score:.3f}"

@@ -29,7 +29,7 @@ from optnav_cli.frames.run_settings import (
 )
 from optnav_cli.frames.tables import CAMERA, FILE, UTC_SIGMA
 from optnav_cli.output.tables import read_matches, read_solutions
-from optnav_cli.output.wording import length_unit, plural, table_lines
+from optnav_cli.output.wording import align_table, choose_length_unit, format_plural
 
 SOLUTION, MATCHES, LANDMARKS = "solution.csv", "matches.csv", "landmarks.csv"
 RECORDING, OVERLAYS = "run.mcap", "overlays"
@@ -39,7 +39,7 @@ FRAMES, CAMERAS = "frames.csv", "cameras"  # copies of the picture folder's
 
 @dataclass(frozen=True, eq=False)
 class RunFolder:
-    """What a run folder holds; `cameras` by picture file name, as far as they are known.
+    """Contents of a run folder; `cameras` by picture file name, as far as they are known.
 
     time_sigmas_s  1 sigma of times, by picture file name, where one is stated
     """
@@ -70,8 +70,8 @@ def read_run(path: Path) -> RunFolder:
     Raises DataError for a folder that is no run and for damaged files.
     """
     if not (path / SOLUTION).is_file():
-        found = "a file" if path.is_file() else "no solution.csv in it"
-        raise DataError(f"{path}: {found}; wanted the folder that `optnav navigate -o` wrote")
+        problem = "a file" if path.is_file() else "no solution.csv in it"
+        raise DataError(f"{path}: {problem}; wanted the folder that `optnav navigate -o` wrote")
     try:
         settings, body = read_run_settings(path / RUN_TOML)
     except ConfigError as error:
@@ -80,13 +80,13 @@ def read_run(path: Path) -> RunFolder:
     matches = read_matches(path / MATCHES) if (path / MATCHES).exists() else []
     solutions = read_solutions(path / SOLUTION, attitude)
     return RunFolder(
-        path, settings, attitude, solutions, matches, _cameras(path), _time_sigmas(path)
+        path, settings, attitude, solutions, matches, _read_cameras(path), _read_time_sigmas(path)
     )
 
 
-def _time_sigmas(path: Path) -> dict[str, float]:
-    """1 sigma of each frame's time by solution.csv, else by the copy of frames.csv."""
-    found: dict[str, float] = {}
+def _read_time_sigmas(path: Path) -> dict[str, float]:
+    """Read 1 sigma of each frame's time from solution.csv, else from the copy of frames.csv."""
+    sigmas: dict[str, float] = {}
     table = CsvTable((FILE, UTC_SIGMA))
     for name in (FRAMES, SOLUTION):
         if (path / name).exists():
@@ -96,12 +96,12 @@ def _time_sigmas(path: Path) -> dict[str, float]:
                 except DataError as error:
                     raise DataError(f"{row.where}: {error}") from None
                 if sigma is not None:
-                    found[row["file"]] = sigma
-    return found
+                    sigmas[row["file"]] = sigma
+    return sigmas
 
 
-def _cameras(path: Path) -> dict[str, Camera]:
-    """The camera of each frame; frames whose camera is missing or wrong are left out."""
+def _read_cameras(path: Path) -> dict[str, Camera]:
+    """Read the camera of each frame; frames whose camera is missing or wrong are left out."""
     if not (path / FRAMES).exists():
         return {}
     known: dict[str, Camera | None] = {}
@@ -119,22 +119,22 @@ def _cameras(path: Path) -> dict[str, Camera]:
     return cameras
 
 
-def run_lines(solutions: Sequence[Solution]) -> list[str]:
-    """How many frames are solved, by which method and how well, and why others are not."""
+def summarise_run(solutions: Sequence[Solution]) -> list[str]:
+    """Summarise how many frames are solved, by which method, how well, and why others are not."""
     sigmas: dict[str, list[float]] = {}
     for s in solutions:
         if s.covariance_m2 is not None:
             sigma = math.sqrt(max(float(np.trace(s.covariance_m2)), 0.0) / 3.0)
             sigmas.setdefault(Method(s.method).label, []).append(sigma)
     solved = sum(map(len, sigmas.values()))
-    lines = [f"solved {solved} of {len(solutions)} {plural('frame', len(solutions))}"]
+    lines = [f"solved {solved} of {len(solutions)} {format_plural('frame', len(solutions))}"]
     if sigmas:
-        unit = length_unit(max(map(max, sigmas.values())))
+        unit = choose_length_unit(max(map(max, sigmas.values())))
         rows = [("method", "frames", f"median sigma an axis, {unit.name}", "largest")]
-        for method, found in sorted(sigmas.items()):
-            median, largest = unit.text(float(np.median(found))), unit.text(max(found))
-            rows.append((method, str(len(found)), median, largest))
-        lines += table_lines(rows)
+        for method, values in sorted(sigmas.items()):
+            median, largest = unit.text(float(np.median(values))), unit.text(max(values))
+            rows.append((method, str(len(values)), median, largest))
+        lines += align_table(rows)
     reasons = Counter(s.reason_code.label for s in solutions if not s.solved)
     lines += [f"unsolved, {reason}: {count}" for reason, count in reasons.most_common()]
     return lines

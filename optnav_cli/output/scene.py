@@ -46,25 +46,25 @@ _PRIMITIVES = (
 )
 
 
-def color(rgb: Rgb, alpha: float = 1.0) -> Message:
-    """A foxglove.Color."""
+def make_color(rgb: Rgb, alpha: float = 1.0) -> Message:
+    """Make a foxglove.Color."""
     return {**dict(zip("rgb", rgb, strict=True)), "a": alpha}
 
 
-def vector(values: FloatArray, decimals: int = 3) -> Message:
-    """A foxglove.Vector3 or Point3 of (3,) numbers."""
+def make_vector(values: FloatArray, decimals: int = 3) -> Message:
+    """Make a foxglove.Vector3 or Point3 of (3,) numbers."""
     return {axis: round(float(v), decimals) for axis, v in zip("xyz", values, strict=True)}
 
 
-def pose_of(position_m: FloatArray, camera_from_body: Rotation) -> Message:
-    """A foxglove.Pose: the camera's axes seen from the body."""
+def make_pose(position_m: FloatArray, camera_from_body: Rotation) -> Message:
+    """Make a foxglove.Pose: the camera's axes seen from the body."""
     qw, qx, qy, qz = (float(v) for v in quaternion_from_rotation(camera_from_body.inv()))
     orientation = {"x": qx, "y": qy, "z": qz, "w": qw}
-    return {"position": vector(position_m, 9), "orientation": orientation}
+    return {"position": make_vector(position_m, 9), "orientation": orientation}
 
 
 class Scene:
-    """Makes foxglove.SceneUpdate messages; remembers where each camera was.
+    """Builder of foxglove.SceneUpdate messages, with the track of each camera.
 
     cameras  names of the run's cameras, which have their colours in this order
     """
@@ -75,49 +75,53 @@ class Scene:
         self._tracks: dict[str, list[tuple[int, FloatArray]]] = {}
 
     def body(self, stamp: Message, relief: GlobalRelief | None) -> Message:
-        """The body: its relief, coarsely, or else its ellipsoid; a little smaller than it is."""
+        """Draw the body: its relief, coarsely, or else its ellipsoid; a little smaller."""
         if relief is None:
-            size = vector(2.0 * BODY_SCALE * np.array(self._body.radii_m))
+            size = make_vector(2.0 * BODY_SCALE * np.array(self._body.radii_m))
             gray = (DARK + BRIGHT) / 2.0
-            drawn = {"spheres": [{"pose": _NOWHERE, "size": size, "color": color((gray,) * 3)}]}
+            drawn = {
+                "spheres": [{"pose": _NOWHERE, "size": size, "color": make_color((gray,) * 3)}]
+            }
         else:
-            drawn = {"triangles": [_surface(relief)]}
+            drawn = {"triangles": [_draw_surface(relief)]}
         about = {"drawn": "relief" if relief else "ellipsoid", "scale": str(BODY_SCALE)}
-        return _update(stamp, [self._entity(stamp, "body", about, **drawn)])
+        return _make_update(stamp, [self._make_entity(stamp, "body", about, **drawn)])
 
     def camera(
         self, stamp: Message, time_ns: int, name: str, solution: Solution, camera: Camera | None
     ) -> Message:
-        """A camera's track so far; its pose, frustum, error and prior, if the frame is solved."""
-        rgb = self._colour(name)
+        """Draw a camera's track so far; pose, frustum, error and prior of a solved frame."""
+        rgb = self._choose_colour(name)
         track = self._tracks.setdefault(name, [])
         entities = []
         if solution.position_m is not None:
             track.append((time_ns, solution.position_m))
             if len(track) > MAX_TRACK:
                 del track[1:-1:2]
-            entities.append(self._pose(stamp, rgb, solution, solution.position_m, camera))
-        lines = [_line(points, rgb, foxglove.STRIP) for points in _stretches(track)]
-        entities.append(self._entity(stamp, "track", {}, lines=lines))
-        return _update(stamp, entities)
+            entities.append(self._draw_pose(stamp, rgb, solution, solution.position_m, camera))
+        lines = [_make_line(points, rgb, foxglove.STRIP) for points in _split_track(track)]
+        entities.append(self._make_entity(stamp, "track", {}, lines=lines))
+        return _make_update(stamp, entities)
 
     def points(self, stamp: Message, solution: Solution, matches: Iterable[MatchRow]) -> Message:
-        """The control points of a frame: used, found but not used, not found; lines to the used."""
+        """Draw the control points of a frame by their outcome, with lines to those used."""
         spheres, sight = [], []
         position = solution.position_m
         for match in matches:
             rgb = PREDICTED if match.measured_px is None else REJECTED
             rgb = FOUND if match.used else rgb
-            away = match.cp_position_m if position is None else match.cp_position_m - position
-            size = POINT * self._unit(float(np.linalg.norm(away)))
-            spheres.append(_ellipsoid(match.cp_position_m, np.full(3, size), rgb))
+            sight_m = match.cp_position_m if position is None else match.cp_position_m - position
+            size = POINT * self._compute_unit(float(np.linalg.norm(sight_m)))
+            spheres.append(_make_ellipsoid(match.cp_position_m, np.full(3, size), rgb))
             if match.used and position is not None:
                 sight += [position, match.cp_position_m]
-        lines = [_line(sight, FOUND, foxglove.SEGMENTS, 0.35)] if sight else []
+        lines = [_make_line(sight, FOUND, foxglove.SEGMENTS, 0.35)] if sight else []
         about = {"file": solution.file, "points": str(len(spheres))}
-        return _update(stamp, [self._entity(stamp, "points", about, spheres=spheres, lines=lines)])
+        return _make_update(
+            stamp, [self._make_entity(stamp, "points", about, spheres=spheres, lines=lines)]
+        )
 
-    def _pose(
+    def _draw_pose(
         self,
         stamp: Message,
         rgb: Rgb,
@@ -125,14 +129,14 @@ class Scene:
         position: FloatArray,
         camera: Camera | None,
     ) -> Message:
-        """The solved position with its ellipsoid of 3 sigmas, the frustum, and the prior."""
+        """Draw the solved position with its ellipsoid of 3 sigmas, the frustum, and the prior."""
         covariance = solution.covariance_m2
-        unit = self._unit(float(np.linalg.norm(position)) - self._body.radius_m)
-        spheres, lines = [_ellipsoid(position, np.full(3, MARK * unit), rgb)], []
+        unit = self._compute_unit(float(np.linalg.norm(position)) - self._body.radius_m)
+        spheres, lines = [_make_ellipsoid(position, np.full(3, MARK * unit), rgb)], []
         if covariance is not None:
             squares, axes = np.linalg.eigh(covariance)
             size = 2.0 * ELLIPSOID_SIGMAS * np.sqrt(np.maximum(squares, 0.0))
-            spheres.append(_ellipsoid(position, size, rgb, 0.35, axes))
+            spheres.append(_make_ellipsoid(position, size, rgb, 0.35, axes))
         if camera is not None and solution.camera_from_body is not None:
             border = (
                 camera.unproject(camera.border(BORDER_POINTS))
@@ -140,24 +144,24 @@ class Scene:
             )
             far = position + FRUSTUM * unit * border
             if np.isfinite(far).all():
-                lines.append(_line([*far, far[0]], rgb, foxglove.STRIP))
+                lines.append(_make_line([*far, far[0]], rgb, foxglove.STRIP))
                 edges = [end for corner in far[::BORDER_POINTS] for end in (position, corner)]
-                lines.append(_line(edges, rgb, foxglove.SEGMENTS))
+                lines.append(_make_line(edges, rgb, foxglove.SEGMENTS))
         if solution.prior_m is not None:
-            spheres.append(_ellipsoid(solution.prior_m, np.full(3, MARK * unit), PRIOR))
-            lines.append(_line([solution.prior_m, position], PRIOR, foxglove.STRIP))
+            spheres.append(_make_ellipsoid(solution.prior_m, np.full(3, MARK * unit), PRIOR))
+            lines.append(_make_line([solution.prior_m, position], PRIOR, foxglove.STRIP))
         about = {"file": solution.file, "method": solution.method, "prior": solution.prior}
-        return self._entity(stamp, "pose", about, spheres=spheres, lines=lines)
+        return self._make_entity(stamp, "pose", about, spheres=spheres, lines=lines)
 
-    def _unit(self, away_m: float) -> float:
+    def _compute_unit(self, away_m: float) -> float:
         return float(np.clip(away_m, 1e-3 * self._body.radius_m, 2.0 * self._body.radius_m))
 
-    def _colour(self, name: str) -> Rgb:
+    def _choose_colour(self, name: str) -> Rgb:
         if name not in self._cameras:
             self._cameras.append(name)
         return CAMERA_COLOURS[self._cameras.index(name) % len(CAMERA_COLOURS)]
 
-    def _entity(self, stamp: Message, name: str, about: Message, **drawn: Any) -> Message:
+    def _make_entity(self, stamp: Message, name: str, about: Message, **drawn: Any) -> Message:
         return {
             **stamp,
             "frame_id": self._body.name,
@@ -169,13 +173,13 @@ class Scene:
         }
 
 
-def _update(stamp: Message, entities: list[Message]) -> Message:
-    """An update that replaces all that its topic showed."""
+def _make_update(stamp: Message, entities: list[Message]) -> Message:
+    """Make an update that replaces all that its topic showed."""
     return {"deletions": [{**stamp, "type": foxglove.DELETE_ALL, "id": ""}], "entities": entities}
 
 
-def _surface(relief: GlobalRelief) -> Message:
-    """The relief as triangles between a grid of places; the ground is the brighter the higher."""
+def _draw_surface(relief: GlobalRelief) -> Message:
+    """Draw the relief as triangles on a grid; the ground is the brighter the higher."""
     lat = np.linspace(np.pi / 2.0, -np.pi / 2.0, BODY_ROWS + 1)
     lon = np.linspace(-np.pi, np.pi, 2 * BODY_ROWS, endpoint=False)
     lat, lon = (grid.ravel() for grid in np.meshgrid(lat, lon, indexing="ij"))
@@ -188,47 +192,47 @@ def _surface(relief: GlobalRelief) -> Message:
     c, d = a + 2 * BODY_ROWS, b + 2 * BODY_ROWS
     return {
         "pose": _NOWHERE,
-        "points": [vector(place, 0) for place in places],
-        "color": color((BRIGHT,) * 3),
-        "colors": [color((round(float(gray), 2),) * 3) for gray in grays],
+        "points": [make_vector(point, 0) for point in places],
+        "color": make_color((BRIGHT,) * 3),
+        "colors": [make_color((round(float(gray), 2),) * 3) for gray in grays],
         "indices": np.column_stack([a, c, b, b, c, d]).ravel().tolist(),
     }
 
 
-def _stretches(track: Sequence[tuple[int, FloatArray]]) -> list[list[FloatArray]]:
-    """The places of a track, cut where it pauses; single places are left out."""
+def _split_track(track: Sequence[tuple[int, FloatArray]]) -> list[list[FloatArray]]:
+    """Split the places of a track where it pauses; single places are left out."""
     stretches: list[list[FloatArray]] = [[]]
     last = 0
-    for time_ns, place in track:
+    for time_ns, position in track:
         if stretches[-1] and time_ns - last > MAX_GAP_NS:
             stretches.append([])
-        stretches[-1].append(place)
+        stretches[-1].append(position)
         last = time_ns
     return [places for places in stretches if len(places) > 1]
 
 
-def _ellipsoid(
+def _make_ellipsoid(
     place: FloatArray,
     size_m: FloatArray,
     rgb: Rgb,
     alpha: float = 1.0,
     axes: FloatArray | None = None,
 ) -> Message:
-    pose = {"position": vector(place), "orientation": _NO_TURN}
+    pose = {"position": make_vector(place), "orientation": _NO_TURN}
     if axes is not None:
         turn = Rotation.from_matrix(axes * np.sign(np.linalg.det(axes)))
-        pose = pose_of(place, turn.inv())
-    return {"pose": pose, "size": vector(size_m), "color": color(rgb, alpha)}
+        pose = make_pose(place, turn.inv())
+    return {"pose": pose, "size": make_vector(size_m), "color": make_color(rgb, alpha)}
 
 
-def _line(places: Sequence[FloatArray], rgb: Rgb, kind: int, alpha: float = 1.0) -> Message:
+def _make_line(places: Sequence[FloatArray], rgb: Rgb, kind: int, alpha: float = 1.0) -> Message:
     return {
         "type": kind,
         "pose": _NOWHERE,
         "thickness": LINE_PX,
         "scale_invariant": True,
-        "points": [vector(place) for place in places],
-        "color": color(rgb, alpha),
+        "points": [make_vector(position) for position in places],
+        "color": make_color(rgb, alpha),
         "colors": [],
         "indices": [],
     }

@@ -97,49 +97,49 @@ def write_solutions(path: Path, solutions: Iterable[Solution], attitude: FileAtt
         columns += SOLUTION_SPHEROID.columns
     if any(row.evidence.lens for row in rows):
         columns += SOLUTION_LENS.columns
-    CsvTable(columns).write(path, (_solution_cells(row, attitude) for row in rows))
+    CsvTable(columns).write(path, (_list_solution_cells(row, attitude) for row in rows))
 
 
 def read_solutions(path: Path, attitude: FileAttitude) -> list[Solution]:
     """Read solution.csv back. Raises DataError naming the row that is damaged."""
     table = CsvTable((*SOLUTION.columns, *SOLUTION_LENS.columns))
-    return table.read(path, lambda row: _solution(row, attitude))
+    return table.read(path, lambda row: _read_solution(row, attitude))
 
 
 def write_matches(path: Path, matches: Iterable[MatchRow]) -> None:
     """Write matches.csv; a point's place is planetocentric."""
-    MATCHES.write(path, map(_match_cells, matches))
+    MATCHES.write(path, map(_list_match_cells, matches))
 
 
 def write_landmarks(path: Path, landmarks: Iterable[LandmarkRow], attitude: FileAttitude) -> None:
     """Write landmarks.csv; a landmark's place is planetocentric."""
-    LANDMARKS.write(path, (_landmark_cells(landmark, attitude) for landmark in landmarks))
+    LANDMARKS.write(path, (_list_landmark_cells(landmark, attitude) for landmark in landmarks))
 
 
 def write_adjusted_matches(path: Path, matches: Iterable[AdjustedMatch]) -> None:
     """Write the matches.csv of adjusted runs."""
-    ADJUSTED_MATCHES.write(path, map(_adjusted_cells, matches))
+    ADJUSTED_MATCHES.write(path, map(_list_adjusted_cells, matches))
 
 
 def read_matches(path: Path) -> list[MatchRow]:
     """Read matches.csv back. Raises DataError naming the row that is damaged."""
-    return MATCHES.read(path, _match)
+    return MATCHES.read(path, _read_match)
 
 
-def fixed(value: float | None, decimals: int) -> str:
-    """A number with so many decimals, never "-0"; empty for None."""
+def format_fixed(value: float | None, decimals: int) -> str:
+    """Format a number with so many decimals, never "-0"; empty for None."""
     return "" if value is None else f"{value:z.{decimals}f}"
 
 
-def _solution_cells(solution: Solution, attitude: FileAttitude) -> dict[str, object]:
+def _list_solution_cells(solution: Solution, attitude: FileAttitude) -> dict[str, object]:
     cells: dict[str, object] = {name: getattr(solution, name) for name in SAME_IN_SOLUTION}
     if solution.position_m is not None:
-        place = attitude.places.stated(solution.position_m)
-        cells |= zip(POSITION, place, strict=True)
-        cells |= _place_cells(place)
+        position = attitude.places.stated(solution.position_m)
+        cells |= zip(POSITION, position, strict=True)
+        cells |= _list_place_cells(position)
         cells["height_m"] = float(cast(float, cells["radius_m"])) - attitude.body.radius_m
         if attitude.body.flattening:
-            lat, _, height = geodetic_from_xyz(place, attitude.body.radii_m)
+            lat, _, height = geodetic_from_xyz(position, attitude.body.radii_m)
             cells["lat_geodetic_deg"] = float(np.degrees(lat))
             cells["height_ellipsoid_m"] = float(height)
     if solution.covariance_m2 is not None:
@@ -150,10 +150,10 @@ def _solution_cells(solution: Solution, attitude: FileAttitude) -> dict[str, obj
         cells |= zip(QUATERNION, quaternion_from_rotation(written), strict=True)
     if solution.attitude_sigma_rad is not None:
         cells["attitude_sigma_arcsec"] = solution.attitude_sigma_rad / ARCSEC
-    return cells | _lens_cells(solution.evidence.lens)
+    return cells | _list_lens_cells(solution.evidence.lens)
 
 
-def _lens_cells(lens: LensEstimate | None) -> dict[str, object]:
+def _list_lens_cells(lens: LensEstimate | None) -> dict[str, object]:
     if lens is None:
         return {}
     cells: dict[str, object] = {
@@ -166,7 +166,7 @@ def _lens_cells(lens: LensEstimate | None) -> dict[str, object]:
     return cells
 
 
-def _lens(row: CsvRow) -> LensEstimate | None:
+def _read_lens(row: CsvRow) -> LensEstimate | None:
     focal = row.number("focal_scale"), row.number("focal_scale_sigma")
     shift, sigma = row.vector(LENS_SHIFT), row.vector(LENS_SHIFT_SIGMA)
     if focal[0] is None and shift is None:
@@ -177,7 +177,7 @@ def _lens(row: CsvRow) -> LensEstimate | None:
     return LensEstimate(*focal, (x, y), (sigma_x, sigma_y))
 
 
-def _place_cells(position_m: FloatArray) -> dict[str, float]:
+def _list_place_cells(position_m: FloatArray) -> dict[str, float]:
     lat, lon, radius = (float(v) for v in latlon_from_xyz(position_m))
     # Rounded first: 179.9999999999 would be written as 180, which is -180 here.
     lon_deg = round(float(np.degrees(lon)), 9)
@@ -185,13 +185,13 @@ def _place_cells(position_m: FloatArray) -> dict[str, float]:
     return {"lat_deg": float(np.degrees(lat)), "lon_deg": lon_deg, "radius_m": radius}
 
 
-def _solution(row: CsvRow, attitude: FileAttitude) -> Solution:
+def _read_solution(row: CsvRow, attitude: FileAttitude) -> Solution:
     if row["status"] not in ("solved", "unsolved"):
         raise DataError(f"status is '{row['status']}'; wanted solved or unsolved")
     position, upper = row.vector(POSITION), row.vector(COVARIANCE)
     quaternion, sigma = row.vector(QUATERNION), row.number("attitude_sigma_arcsec")
     written = None if quaternion is None else rotation_from_quaternion(*quaternion)
-    reason = Reason(reason_code(row), row["reason"])
+    reason = Reason(read_reason_code(row), row["reason"])
     evidence = Evidence(
         n_predicted=row.count("n_predicted"),
         n_matched=row.count("n_matched"),
@@ -201,9 +201,9 @@ def _solution(row: CsvRow, attitude: FileAttitude) -> Solution:
         arc_deg=row.number("arc_deg"),
         n_windows=row.count("n_windows"),
         n_landmarks=row.count("n_landmarks"),
-        lens=_lens(row),
+        lens=_read_lens(row),
     )
-    method = _method(row)
+    method = _read_method(row)
     outcome: Fix | NoFix = NoFix(reason, method, evidence)
     if position is not None and not 0.0 < np.abs(position).max() <= MAX_SOLVED_M:
         raise DataError(f"the position lies at the centre or beyond {MAX_SOLVED_M:g} m")
@@ -214,29 +214,29 @@ def _solution(row: CsvRow, attitude: FileAttitude) -> Solution:
             )
         camera_from_body = None if written is None else attitude.read(written, row["utc"])
         sigma_rad = None if sigma is None else sigma * ARCSEC
-        covariance = attitude.places.catalog_covariance(_covariance(upper))
-        place = attitude.places.catalog(position)
-        outcome = Fix(method, place, covariance, camera_from_body, sigma_rad, evidence, reason)
+        covariance = attitude.places.catalog_covariance(_read_covariance(upper))
+        position_m = attitude.places.catalog(position)
+        outcome = Fix(method, position_m, covariance, camera_from_body, sigma_rad, evidence, reason)
     source = row["attitude_source"]
     return Solution(row["file"], row["utc"], outcome, row["prior"], attitude_source=source)
 
 
-def _method(row: CsvRow) -> Method | None:
+def _read_method(row: CsvRow) -> Method | None:
     try:
         return Method(row["method"]) if row["method"] else None
     except ValueError:
         raise DataError(f"method is '{row['method']}'; wanted {', '.join(Method)}") from None
 
 
-def reason_code(row: CsvRow) -> ReasonCode:
-    """The code of a row's reason. Raises DataError."""
+def read_reason_code(row: CsvRow) -> ReasonCode:
+    """Read the code of a row's reason. Raises DataError."""
     try:
         return ReasonCode(row["reason_code"])
     except ValueError:
         raise DataError(f"'{row['reason_code']}' is no reason code") from None
 
 
-def _covariance(upper: FloatArray) -> FloatArray:
+def _read_covariance(upper: FloatArray) -> FloatArray:
     matrix = np.empty((3, 3))
     for value, (i, j) in zip(upper, UPPER, strict=True):
         matrix[i, j] = matrix[j, i] = value
@@ -245,18 +245,18 @@ def _covariance(upper: FloatArray) -> FloatArray:
     return matrix
 
 
-def _match_cells(match: MatchRow) -> dict[str, object]:
+def _list_match_cells(match: MatchRow) -> dict[str, object]:
     cells: dict[str, object] = {name: getattr(match, name) for name in SAME_IN_MATCH}
     cells["id"] = match.label
-    cells |= _place_cells(match.cp_position_m)
+    cells |= _list_place_cells(match.cp_position_m)
     for name in ("predicted", "measured", "residual", "prior"):
         pixel = getattr(match, f"{name}_px")
         if pixel is not None:
-            cells |= zip(_pixel(name), pixel, strict=True)
+            cells |= zip(_list_columns(name), pixel, strict=True)
     return cells
 
 
-def _landmark_cells(landmark: LandmarkRow, attitude: FileAttitude) -> dict[str, object]:
+def _list_landmark_cells(landmark: LandmarkRow, attitude: FileAttitude) -> dict[str, object]:
     cells: dict[str, object] = {
         "id": landmark.number,
         "first_file": landmark.first_file,
@@ -265,54 +265,54 @@ def _landmark_cells(landmark: LandmarkRow, attitude: FileAttitude) -> dict[str, 
         "status": "retired" if landmark.reason else "tracked",
         "reason": landmark.reason.text,
     }
-    cells |= _place_cells(attitude.places.stated(landmark.place_m))
+    cells |= _list_place_cells(attitude.places.stated(landmark.place_m))
     cells |= {name: landmark.covariance_m2[at] for name, at in zip(GROUND_COVARIANCE, UPPER)}
     return cells
 
 
-def _adjusted_cells(match: AdjustedMatch) -> dict[str, object]:
-    cells = _match_cells(match.row) | {"weight": match.weight}
+def _list_adjusted_cells(match: AdjustedMatch) -> dict[str, object]:
+    cells = _list_match_cells(match.row) | {"weight": match.weight}
     for name in ("stated", "constants"):
-        cells |= zip(_pixel(name), getattr(match, f"{name}_px"), strict=True)
+        cells |= zip(_list_columns(name), getattr(match, f"{name}_px"), strict=True)
     return cells
 
 
-def _match(row: CsvRow) -> MatchRow:
-    kind, level = _kind(row), row.count("level")
+def _read_match(row: CsvRow) -> MatchRow:
+    kind, level = _read_kind(row), row.count("level")
     name = row["id"] if kind is MatchKind.PICKED_POINT else ""
     cp_id = number_of_name(name) if name else row.count("id")
-    place = row.vector(("lat_deg", "lon_deg", "radius_m"))
-    predicted = row.vector(_pixel("predicted"))
-    if cp_id is None or level is None or place is None or predicted is None:
+    geographic = row.vector(("lat_deg", "lon_deg", "radius_m"))
+    predicted = row.vector(_list_columns("predicted"))
+    if cp_id is None or level is None or geographic is None or predicted is None:
         raise DataError("id, level, place or predicted pixel is empty; run navigate again")
-    lat, lon, radius = place
+    lat, lon, radius = geographic
     return MatchRow(
         file=row["file"],
         cp_id=cp_id,
         level=level,
         cp_position_m=xyz_from_latlon(np.radians(lat), np.radians(lon), radius),
         predicted_px=predicted,
-        measured_px=row.vector(_pixel("measured")),
+        measured_px=row.vector(_list_columns("measured")),
         score=row.number("score"),
         runner_up=row.number("runner_up"),
         used=row.flag("used"),
         reason=row["reason"],
         sun_elevation_deg=row.number("sun_elevation_deg"),
-        residual_px=row.vector(_pixel("residual")),
-        prior_px=row.vector(_pixel("prior")),
+        residual_px=row.vector(_list_columns("residual")),
+        prior_px=row.vector(_list_columns("prior")),
         catalog=row["catalog"],
-        reason_code=reason_code(row),
+        reason_code=read_reason_code(row),
         kind=kind,
         name=name,
     )
 
 
-def _kind(row: CsvRow) -> MatchKind:
+def _read_kind(row: CsvRow) -> MatchKind:
     try:
         return MatchKind(row["kind"]) if row["kind"] else MatchKind.CONTROL_POINT
     except ValueError:
         raise DataError(f"kind is '{row['kind']}'; wanted {', '.join(MatchKind)}") from None
 
 
-def _pixel(name: str) -> tuple[str, str]:
+def _list_columns(name: str) -> tuple[str, str]:
     return f"{name}_x_px", f"{name}_y_px"

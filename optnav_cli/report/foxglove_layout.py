@@ -18,7 +18,7 @@ from mcap.reader import SeekingReader
 
 from catalog.errors import DataError, UsageError
 from catalog.files import replacing_file, starts_with
-from optnav_cli.output.recording import topic_of
+from optnav_cli.output.recording import format_topic
 from optnav_cli.output.run_folder import RECORDING, RunFolder, read_run
 from optnav_cli.output.scene import CAMERA_COLOURS
 
@@ -71,7 +71,9 @@ def layout(run: RunFolder, recorded: frozenset[str] | None = None) -> Panel:
     cameras = sorted({camera.name for camera in run.cameras.values()})
 
     def having(what: str) -> list[str]:
-        return [name for name in cameras if recorded is None or topic_of(name, what) in recorded]
+        return [
+            name for name in cameras if recorded is None or format_topic(name, what) in recorded
+        ]
 
     pictures = {f"Image!{number}": _picture(name) for number, name in enumerate(having("image"))}
     solved = having("solution")
@@ -106,12 +108,14 @@ def _scene(run: RunFolder, cameras: list[str]) -> Panel:
         rgb = CAMERA_COLOURS[number % len(CAMERA_COLOURS)]
         colour = "#" + "".join(f"{round(255 * part):02x}" for part in rgb) + "ff"
         pose = {"visible": True, "type": "axis", "axisScale": size, "color": colour}
-        topics[topic_of(name, "pose")] = pose
-        topics[topic_of(name, "predicted")] = {**pose, "axisScale": 0.6 * size}
-        topics |= {topic_of(name, what): {"visible": True} for what in ("scene", "control_points")}
+        topics[format_topic(name, "pose")] = pose
+        topics[format_topic(name, "predicted")] = {**pose, "axisScale": 0.6 * size}
+        topics |= {
+            format_topic(name, what): {"visible": True} for what in ("scene", "control_points")
+        }
         # its own frustum is 1 m long; that of the scene shows fisheyes, too
-        topics[topic_of(name, "calibration")] = {"visible": False}
-        topics[topic_of(name, "image")] = {"visible": False}
+        topics[format_topic(name, "calibration")] = {"visible": False}
+        topics[format_topic(name, "image")] = {"visible": False}
     view = {
         "perspective": True,
         "distance": AWAY * farthest,
@@ -142,9 +146,9 @@ def _picture(camera: str) -> Panel:
     return {
         "foxglovePanelTitle": camera,
         "imageMode": {
-            "imageTopic": topic_of(camera, "image"),
-            "calibrationTopic": topic_of(camera, "calibration"),
-            "annotations": {topic_of(camera, "annotations"): {"visible": True}},
+            "imageTopic": format_topic(camera, "image"),
+            "calibrationTopic": format_topic(camera, "calibration"),
+            "annotations": {format_topic(camera, "annotations"): {"visible": True}},
             "synchronize": True,
         },
     }
@@ -153,7 +157,7 @@ def _picture(camera: str) -> Panel:
 def _plot(cameras: list[str], label: str, fields: tuple[str, ...]) -> Panel:
     paths = []
     for camera in cameras:
-        topic = topic_of(camera, "solution")
+        topic = format_topic(camera, "solution")
         topic = topic if PLAIN_TOPIC.fullmatch(topic) else json.dumps(topic, ensure_ascii=False)
         paths += [
             {

@@ -14,7 +14,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from catalog.arrays import ByteArray
-from optnav_cli.output.canvas import encoded
+from optnav_cli.output.canvas import encode_picture
 
 BEGINNING = "<!doctype html>\n<!-- optnav report -->\n"
 TEMPLATES = Environment(
@@ -109,7 +109,7 @@ def percent(part: int, total: int) -> str:
 
 def data_uri(picture: ByteArray, suffix: str = ".png", quality: int = 80) -> str:
     """A picture as an address that holds it."""
-    return uri_of(encoded(picture, suffix, quality), "jpeg" if suffix == ".jpg" else "png")
+    return uri_of(encode_picture(picture, suffix, quality), "jpeg" if suffix == ".jpg" else "png")
 
 
 def uri_of(data: bytes, kind: str) -> str:

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from catalog.arrays import ByteArray
 from catalog.errors import DataError
 from catalog.inputs import read_input
-from optnav_cli.output.canvas import encoded, resized, shrink_factor
+from optnav_cli.output.canvas import compute_shrink_factor, encode_picture, resize_picture
 from optnav_cli.output.overlay import MAX_PX, RESIDUALS_ENLARGED, overlay_path
 from optnav_cli.output.run_folder import OVERLAYS, RunFolder
 from optnav_cli.report import page as html
@@ -96,5 +96,5 @@ def _shrunk(pictures: dict[str, ByteArray]) -> dict[str, bytes]:
 
 def _jpeg(picture: ByteArray, longest_px: int) -> bytes:
     height, width = picture.shape[:2]
-    small = resized(picture, shrink_factor(width, height, longest_px))
-    return encoded(small, ".jpg", QUALITY)
+    small = resize_picture(picture, compute_shrink_factor(width, height, longest_px))
+    return encode_picture(small, ".jpg", QUALITY)

@@ -21,7 +21,7 @@ from catalog.places import check_apart
 from catalog.progress import Progress, SilentProgress, logged_stage
 from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.frames.tables import FRAMES, PICKED_POINTS
-from optnav_cli.output.manifest import is_finished, unfinished, versions, write_manifest
+from optnav_cli.output.manifest import is_finished, list_versions, open_workspace, write_manifest
 from optnav_cli.simulation.cylinder import simulation_of
 from optnav_cli.simulation.run import Simulation, Taken, take
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
@@ -55,7 +55,7 @@ def simulate_folder(
         check_address(scheduler)
     if isinstance(scenario, Path):
         check_apart(pictures, [scenario])
-    with logged_stage(STAGE), unfinished(pictures, KIND) as workspace:
+    with logged_stage(STAGE), open_workspace(pictures, KIND) as workspace:
         if isinstance(scenario, Path):
             path, scenario = scenario, load_scenario(scenario)
             origin = {"name": path.name, "sha256": hash_file(path)}
@@ -121,7 +121,7 @@ def _take(
 def _key(simulation: Simulation, workspace: Workspace) -> str:
     """Hash of all that the pictures depend on."""
     return stage_key(
-        [code_key(), code_key("optnav_cli"), versions()],
+        [code_key(), code_key("optnav_cli"), list_versions()],
         msgspec.to_builtins(simulation.scenario),
         [camera_toml(camera) for camera in simulation.cameras],
         repr(simulation.motion.body),

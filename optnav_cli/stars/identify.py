@@ -75,7 +75,7 @@ class StarFix:
 
     @property
     def residual_rms_px(self) -> float:
-        """Of the used ones, a coordinate."""
+        """Root mean square of the residuals of the stars used, per coordinate."""
         some = self.residuals_px[self.used > 0.0]
         return float(np.sqrt((some**2).mean()))
 
@@ -88,28 +88,28 @@ class _Pairs:
     first: IntArray
     second: IntArray
 
-    def about(self, angle: float, tolerance: float) -> tuple[IntArray, IntArray]:
-        """Both ends, in both orders, of pairs of an angle."""
+    def select_near(self, angle: float, tolerance: float) -> tuple[IntArray, IntArray]:
+        """Select both ends, in both orders, of pairs of an angle."""
         low, high = np.searchsorted(self.angles, (angle - tolerance, angle + tolerance))
         a, b = self.first[low:high], self.second[low:high]
         return np.concatenate([a, b]), np.concatenate([b, a])
 
 
 @lru_cache(maxsize=4)
-def _pairs(catalog: BrightStars, count: int, widest: float) -> _Pairs:
-    """Of the brightest stars: the motions of a century change no angle by a pixel."""
+def _list_pairs(catalog: BrightStars, count: int, widest: float) -> _Pairs:
+    """List pairs of the brightest stars: a century of proper motion changes no angle by a pixel."""
     directions = catalog.at(None)[:count]
     reach = 2.0 * np.sin(widest / 2.0)
-    found = cKDTree(directions).query_pairs(reach, output_type="ndarray")
-    chords = np.linalg.norm(directions[found[:, 0]] - directions[found[:, 1]], axis=1)
+    ends = cKDTree(directions).query_pairs(reach, output_type="ndarray")
+    chords = np.linalg.norm(directions[ends[:, 0]] - directions[ends[:, 1]], axis=1)
     angles = 2.0 * np.arcsin(chords / 2.0)
     order = np.argsort(angles, kind="stable")
-    return _Pairs(angles[order], found[order, 0], found[order, 1])
+    return _Pairs(angles[order], ends[order, 0], ends[order, 1])
 
 
 @dataclass(frozen=True, eq=False)
 class StarIdentifier:
-    """Finds attitudes of one camera.
+    """Identification of stars in pictures of one camera.
 
     directions  (n, 3) of the catalog's stars as the camera sees them, the brightest first
     catalog     the stars themselves
@@ -120,55 +120,56 @@ class StarIdentifier:
     catalog: BrightStars = field(default_factory=bright_stars)
 
     def identify(self, spots: StarSpots) -> StarFix:
-        """The attitude under which the spots are stars.
+        """Find the attitude under which the spots are stars.
 
         Raises NoSolutionError where there are too few spots or no attitude stands against chance;
         it says where the mirrored picture, or a lens some per cent off, would give one.
         """
-        found = self.attempt(spots)
+        fit_of_stars = self.attempt(spots)
         off = max(MAX_SCALE_OFF, 3.0 * self.camera.focal_length_error)
-        if found is not None and abs(found.focal_scale - 1.0) > off:
-            raise _wrong_lens(found.focal_scale)
-        if found is not None:
-            return found
+        if fit_of_stars is not None and abs(fit_of_stars.focal_scale - 1.0) > off:
+            raise _explain_wrong_lens(fit_of_stars.focal_scale)
+        if fit_of_stars is not None:
+            return fit_of_stars
         if len(spots) < MIN_STARS or spots.n_trails > len(spots):
-            raise NoSolutionError(_too_few(spots), ReasonCode.FEW_STARS)
+            raise NoSolutionError(_explain_too_few(spots), ReasonCode.FEW_STARS)
         mirrored = replace(
             spots, pixels=np.array([self.camera.width_px - 1, 0.0]) - spots.pixels * [1.0, -1.0]
         )
-        if self._identified(mirrored, FEW_TRIPLES) is not None:
+        if self._identify(mirrored, FEW_TRIPLES) is not None:
             text = "the picture is mirrored: its stars fit the sky seen in a mirror"
             raise NoSolutionError(text, ReasonCode.MIRRORED)
         for factor in WRONG_FACTORS:
             other = replace(self, camera=self.camera.with_focal_factor(factor))
-            fit = other._identified(spots, FEW_TRIPLES)
+            fit = other._identify(spots, FEW_TRIPLES)
             if fit is not None:
-                raise _wrong_lens(factor * fit.focal_scale)
+                raise _explain_wrong_lens(factor * fit.focal_scale)
         raise NoSolutionError(
-            f"{len(spots)} spots are no stars of the catalog, or too few of them{_besides(spots)}",
+            f"{len(spots)} spots are no stars of the catalog, or too few of them"
+            f"{_describe_rejects(spots)}",
             ReasonCode.NO_STARS,
         )
 
     def attempt(self, spots: StarSpots) -> StarFix | None:
-        """The same without a look at why there is none."""
-        return self._identified(spots, MAX_TRIPLES)
+        """Find the attitude without a look at why there is none."""
+        return self._identify(spots, MAX_TRIPLES)
 
-    def _identified(self, spots: StarSpots, most: int) -> StarFix | None:
-        """The attitude by the first so many triples; None without one."""
+    def _identify(self, spots: StarSpots, most: int) -> StarFix | None:
+        """Find the attitude by the first so many triples; None without one."""
         if len(spots) < MIN_STARS:
             return None
         rays = self.camera.unproject(spots.pixels)
         seen = np.flatnonzero(np.isfinite(rays).all(axis=1))
         tried, last = 0, MAX_TRIED
-        triples = _triples(seen, rays, self._widest())
+        triples = _list_triples(seen, rays, self._compute_widest_angle())
         if self._is_large:
             most, last = min(most, MANY_TRIPLES), MANY_TRIED
             shortest = MIN_LARGE_SIDE_PX / self.camera.focal_length_px
-            triples = _compact_triples(seen, rays, shortest, self._reach())
+            triples = _list_compact_triples(seen, rays, shortest, self._compute_pair_reach())
         for three in islice(triples, most):
-            candidates = self._candidates(rays[list(three)])
-            for number in self._promising(spots, rays, three, candidates):
-                fit = self._verified(spots, rays, three, candidates[number], tried + number + 1)
+            candidates = self._find_candidates(rays[list(three)])
+            for number in self._select_promising(spots, rays, three, candidates):
+                fit = self._verify(spots, rays, three, candidates[number], tried + number + 1)
                 if fit is not None:
                     return fit
                 if tried + number + 1 >= last:
@@ -187,10 +188,10 @@ class StarIdentifier:
     def _tree(self) -> cKDTree:
         return cKDTree(self.directions)
 
-    def _promising(
+    def _select_promising(
         self, spots: StarSpots, rays: FloatArray, three: tuple[int, ...], candidates: list[IntArray]
     ) -> IntArray:
-        """Numbers of the candidates under which as many other spots are stars as it takes.
+        """Select the candidates under which as many other spots are stars as it takes.
 
         All of them with a small catalog. With a large one every other spot is looked up in the sky
         by the attitude of each triple at once, in a gate wider than that of the matches.
@@ -203,55 +204,62 @@ class StarIdentifier:
             np.einsum("ia,mib->mab", rays[list(three)], self.directions[stars])
         )
         u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
-        scales = np.array([self._scale_of(rays[list(three)], row) for row in stars])
+        scales = np.array([self._estimate_scale(rays[list(three)], row) for row in stars])
         straight = np.repeat(rays[others][None], len(stars), axis=0)
         straight[:, :, 2] *= scales[:, None]
         sky = straight @ (u @ vt)
         sky /= np.linalg.norm(sky, axis=2, keepdims=True)
         gate = WIDE_GATE * 2.0 * MATCH_PX / self.camera.focal_length_px
-        away, _ = self._tree.query(sky, distance_upper_bound=gate)
-        wanted = self._fewest(len(spots)) - 3
-        return np.flatnonzero(np.isfinite(away).sum(axis=1) >= wanted)
+        distances, _ = self._tree.query(sky, distance_upper_bound=gate)
+        wanted = self._count_needed(len(spots)) - 3
+        return np.flatnonzero(np.isfinite(distances).sum(axis=1) >= wanted)
 
-    def _fewest(self, spots: int) -> int:
-        """The fewest matches that stand against chance where the sky is half as full."""
+    def _count_needed(self, spots: int) -> int:
+        """Count the matches needed to stand against chance where the sky is half as full."""
         camera = self.camera
         area = camera.width_px * camera.height_px * np.degrees(camera.angular_resolution) ** 2
         in_view = max(round(0.5 * len(self.directions) * area / SKY_SQUARE_DEG), 1)
         agreeing = MIN_STARS
-        while agreeing < spots and (self._chance(spots, agreeing, in_view, MATCH_PX) >= MAX_CHANCE):
+        while agreeing < spots and (
+            self._estimate_chance(spots, agreeing, in_view, MATCH_PX) >= MAX_CHANCE
+        ):
             agreeing += 1
         return agreeing
 
     def _count_in_view(self) -> int:
-        """How many of the catalog's stars to take, the brightest."""
+        """Count the brightest stars of the catalog to search, so that a frame shows enough."""
         camera = self.camera
         area = camera.width_px * camera.height_px * np.degrees(camera.angular_resolution) ** 2
         wanted = WANTED_IN_VIEW * SKY_SQUARE_DEG / min(area, SKY_SQUARE_DEG / 2.0)
         # so many stars have MAX_PAIRS within the widest angle
-        share = np.pi * np.degrees(self._reach()) ** 2 / SKY_SQUARE_DEG
+        share = np.pi * np.degrees(self._compute_pair_reach()) ** 2 / SKY_SQUARE_DEG
         affordable = np.sqrt(2.0 * MAX_PAIRS / share)
         return int(np.clip(min(wanted, affordable), 300, max(len(self.directions), 300)))
 
-    def _widest(self) -> float:
+    def _compute_widest_angle(self) -> float:
         half = np.hypot(self.camera.width_px, self.camera.height_px) / 2.0
         across = 2.0 * np.arctan(half / self.camera.coarse_focal_px)
         return float(min(across * 1.05, np.radians(MAX_PAIR_DEG)))
 
-    def _reach(self) -> float:
-        """The widest angle between two stars that are looked up as a pair."""
-        return self._widest() * (COMPACT if self._is_large else 1.0)
+    def _compute_pair_reach(self) -> float:
+        """Compute the widest angle between two stars that are looked up as a pair."""
+        return self._compute_widest_angle() * (COMPACT if self._is_large else 1.0)
 
-    def _candidates(self, rays: FloatArray) -> list[IntArray]:
-        """Triples of stars (3,) with the angles and the sense of three rays (3, 3)."""
-        pairs = _pairs(self.catalog, self._count_in_view(), round(self._reach(), 6))
-        ab, ac, bc = (_angle(rays[i], rays[j]) for i, j in ((0, 1), (0, 2), (1, 2)))
-        if max(ab, ac, bc) > self._widest() or min(ab, ac, bc) < 10.0 / self.camera.focal_length_px:
+    def _find_candidates(self, rays: FloatArray) -> list[IntArray]:
+        """Find triples of stars (3,) with the angles and the sense of three rays (3, 3)."""
+        pairs = _list_pairs(
+            self.catalog, self._count_in_view(), round(self._compute_pair_reach(), 6)
+        )
+        ab, ac, bc = (_compute_angle(rays[i], rays[j]) for i, j in ((0, 1), (0, 2), (1, 2)))
+        if (
+            max(ab, ac, bc) > self._compute_widest_angle()
+            or min(ab, ac, bc) < 10.0 / self.camera.focal_length_px
+        ):
             return []
         noise = SPOT_PX * np.sqrt(2.0) / self.camera.focal_length_px
         error = max(SCALE_ERROR, 3.0 * self.camera.focal_length_error)
-        first, second = pairs.about(ab, error * ab + 2.0 * noise)
-        common, third = pairs.about(ac, error * ac + 2.0 * noise)
+        first, second = pairs.select_near(ab, error * ab + 2.0 * noise)
+        common, third = pairs.select_near(ac, error * ac + 2.0 * noise)
         order = np.argsort(common, kind="stable")
         common, third = common[order], third[order]
         low, high = np.searchsorted(common, first), np.searchsorted(common, first, side="right")
@@ -263,12 +271,12 @@ class StarIdentifier:
         a, b, c = first[index], second[index], third[low[index] + offset]
         stars = self.directions
         scales = [
-            _angles_of(stars[p], stars[q]) / angle
+            _compute_angles(stars[p], stars[q]) / angle
             for p, q, angle in ((a, b, ab), (a, c, ac), (b, c, bc))
         ]
         off = [
-            np.abs(one - other) < 2.0 * noise * np.hypot(1.0 / x, 1.0 / y)
-            for one, other, x, y in (
+            np.abs(first_scale - second_scale) < 2.0 * noise * np.hypot(1.0 / x, 1.0 / y)
+            for first_scale, second_scale, x, y in (
                 (scales[0], scales[1], ab, ac),
                 (scales[1], scales[2], ac, bc),
                 (scales[0], scales[2], ab, bc),
@@ -282,7 +290,7 @@ class StarIdentifier:
         chosen = chosen[np.argsort(worst[chosen], kind="stable")]
         return [np.array([a[i], b[i], c[i]]) for i in chosen]
 
-    def _verified(
+    def _verify(
         self,
         spots: StarSpots,
         rays: FloatArray,
@@ -290,38 +298,44 @@ class StarIdentifier:
         stars: IntArray,
         tried: int,
     ) -> StarFix | None:
-        """The refined attitude of a triple; None where chance explains it."""
-        turn = wahba(rays[list(three)], self.directions[stars])
-        scale = self._scale_of(rays[list(three)], stars)
-        match = self._matched(spots, turn, scale, 0.0, 2.0 * MATCH_PX)
+        """Refine the attitude of a triple; None where chance explains it."""
+        turn = solve_wahba(rays[list(three)], self.directions[stars])
+        scale = self._estimate_scale(rays[list(three)], stars)
+        match = self._match(spots, turn, scale, 0.0, 2.0 * MATCH_PX)
         if len(match[0]) < MIN_STARS:
             return None
-        in_view = self._in_view(turn)[0].size
-        if self._chance(len(spots), len(match[0]), in_view, 2.0 * MATCH_PX) > MAX_COARSE_CHANCE:
+        in_view = self._select_in_view(turn)[0].size
+        if (
+            self._estimate_chance(len(spots), len(match[0]), in_view, 2.0 * MATCH_PX)
+            > MAX_COARSE_CHANCE
+        ):
             return None
-        fit = self._refined(spots, turn, scale, match)
+        fit = self._refine(spots, turn, scale, match)
         # matches by chance fill the gate evenly; so do those of an attitude near the right one
         if fit is None or fit.residual_rms_px > MAX_RMS_PX:
             return None
-        chance = tried * self._chance(len(spots), int(fit.used.sum()), in_view, MATCH_PX)
+        chance = tried * self._estimate_chance(len(spots), int(fit.used.sum()), in_view, MATCH_PX)
         return replace(fit, chance=chance) if chance < MAX_CHANCE else None
 
-    def _chance(self, spots: int, agreeing: int, in_view: int, gate_px: float) -> float:
-        """How probably random spots agree so with an attitude that three of them gave."""
+    def _estimate_chance(self, spots: int, agreeing: int, in_view: int, gate_px: float) -> float:
+        """Estimate how probably random spots agree so with an attitude that three of them gave."""
         if agreeing < MIN_STARS:
             return 1.0
         area = self.camera.width_px * self.camera.height_px
         share = min(in_view * np.pi * gate_px**2 / area, 1.0)
         return float(bdtrc(agreeing - 4, spots - 3, share))
 
-    def _scale_of(self, rays: FloatArray, stars: IntArray) -> float:
-        """The focal length's factor that the angles of a triple ask for."""
+    def _estimate_scale(self, rays: FloatArray, stars: IntArray) -> float:
+        """Estimate the focal length's factor that the angles of a triple ask for."""
         sky = self.directions[stars]
-        ours, theirs = (_angles_of(one, np.roll(one, 1, axis=0)).sum() for one in (rays, sky))
+        ours, theirs = (
+            _compute_angles(directions, np.roll(directions, 1, axis=0)).sum()
+            for directions in (rays, sky)
+        )
         return float(ours / theirs)
 
-    def _in_view(self, turn: Rotation) -> tuple[IntArray, FloatArray]:
-        """Stars in the picture, and their pixels (n, 2) by the lens as it is stated."""
+    def _select_in_view(self, turn: Rotation) -> tuple[IntArray, FloatArray]:
+        """Select stars in the picture, with their pixels (n, 2) by the stated lens."""
         axis = turn.inv().apply((0.0, 0.0, 1.0))
         half = np.hypot(self.camera.width_px, self.camera.height_px) / 2.0
         reach = min(float(np.arctan(half / self.camera.coarse_focal_px)) * 1.3, np.pi)
@@ -331,10 +345,10 @@ class StarIdentifier:
         seen = seen[self.camera.contains(pixels[seen])]
         return near[seen], pixels[seen]
 
-    def _projected(
+    def _project(
         self, stars: IntArray, turn: Rotation, scale: float, k1: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Pixels (n, 2) of stars through a lens longer by a factor and with k1; derivatives (n, 2,
+        """Project stars through a lens longer by a factor and with k1.
         5) by a rotation vector, the factor and k1."""
         camera = self.camera
         points = turn.apply(self.directions[stars])
@@ -348,38 +362,38 @@ class StarIdentifier:
         columns.append((out * scale * squared)[:, :, None])
         return middle + bent * out, np.concatenate(columns, axis=2)
 
-    def _matched(
+    def _match(
         self, spots: StarSpots, turn: Rotation, scale: float, k1: float, gate_px: float
     ) -> tuple[IntArray, IntArray]:
-        """Spots and stars that are each other's nearest within a gate."""
-        stars, pixels = self._in_view(turn)
+        """Match spots and stars that are each other's nearest within a gate."""
+        stars, pixels = self._select_in_view(turn)
         if not stars.size:
             return np.empty(0, np.int64), np.empty(0, np.int64)
         out = pixels - self.camera.principal_point_px
         squared = ((out / self.camera.focal_length_px) ** 2).sum(axis=1, keepdims=True)
         pixels = self.camera.principal_point_px + scale * (1.0 + k1 * squared) * out
-        away, nearest = cKDTree(pixels).query(spots.pixels, distance_upper_bound=gate_px)
-        ours = np.flatnonzero(np.isfinite(away))
-        order = ours[np.argsort(away[ours], kind="stable")]
+        distances, nearest = cKDTree(pixels).query(spots.pixels, distance_upper_bound=gate_px)
+        ours = np.flatnonzero(np.isfinite(distances))
+        order = ours[np.argsort(distances[ours], kind="stable")]
         _, first = np.unique(nearest[order], return_index=True)
         kept = np.sort(order[first])
         return kept, stars[nearest[kept]]
 
-    def _refined(
+    def _refine(
         self,
         spots: StarSpots,
         turn: Rotation,
         scale: float,
         match: tuple[IntArray, IntArray],
     ) -> StarFix | None:
-        """Rotation, and of enough stars the lens, by robust least squares."""
+        """Refine the rotation, and with enough stars the lens, by robust least squares."""
         k1 = 0.0
         prior = max(SCALE_ERROR, self.camera.focal_length_error)
         for step in range(MAX_STEPS):
             ours, stars = match
             if len(ours) < MIN_STARS:
                 return None
-            pixels, jacobian = self._projected(stars, turn, scale, k1)
+            pixels, jacobian = self._project(stars, turn, scale, k1)
             residuals = spots.pixels[ours] - pixels
             size = np.linalg.norm(residuals, axis=1)
             noise = np.hypot(spots.sigma_px[ours], FLOOR_PX)
@@ -407,8 +421,8 @@ class StarIdentifier:
             last = step == MAX_STEPS - 1 or float(np.abs(move[:3]).max()) < 1e-9
             if last:
                 break
-            match = self._matched(spots, turn, scale, k1, MATCH_PX)
-        pixels, _ = self._projected(stars, turn, scale, k1)
+            match = self._match(spots, turn, scale, k1, MATCH_PX)
+        pixels, _ = self._project(stars, turn, scale, k1)
         used = weights
         freedom = max(2.0 * float(used.sum()) - len(solved), 1.0)
         squares = float((weights * (size / noise) ** 2).sum()) / freedom
@@ -420,14 +434,14 @@ class StarIdentifier:
         )
 
 
-def wahba(ours: FloatArray, theirs: FloatArray) -> Rotation:
-    """The rotation that takes directions (n, 3) nearest to ours (n, 3); Markley's SVD (1988)."""
+def solve_wahba(ours: FloatArray, theirs: FloatArray) -> Rotation:
+    """Rotate directions (n, 3) nearest to ours (n, 3), by Markley's SVD (1988)."""
     u, _, vt = np.linalg.svd(ours.T @ theirs)
     return Rotation.from_matrix(u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt)
 
 
-def _triples(seen: IntArray, rays: FloatArray, widest: float) -> Iterator[tuple[int, ...]]:
-    """Triples of the brightest spots within an angle, in order of the sum of their ranks."""
+def _list_triples(seen: IntArray, rays: FloatArray, widest: float) -> Iterator[tuple[int, ...]]:
+    """List triples of the brightest spots within an angle, in order of the sum of their ranks."""
     count = min(len(seen), MAX_BRIGHT_SPOTS)
     near = rays[seen[:count]] @ rays[seen[:count]].T > np.cos(widest)
     if near[:BRIGHT_SPOTS, :BRIGHT_SPOTS].mean() > 0.5:  # else a wide field, whose spots lie apart
@@ -442,10 +456,10 @@ def _triples(seen: IntArray, rays: FloatArray, widest: float) -> Iterator[tuple[
         yield tuple(int(seen[rank]) for rank in three)
 
 
-def _compact_triples(
+def _list_compact_triples(
     seen: IntArray, rays: FloatArray, shortest: float, reach: float
 ) -> Iterator[tuple[int, ...]]:
-    """Triples of bright spots, small ones first: pairs of an angle grow with its square.
+    """List triples of bright spots, small ones first: pairs of an angle grow with its square.
 
     The first of each triple is the corner of both shorter sides, which are looked up.
     """
@@ -456,36 +470,36 @@ def _compact_triples(
         corners = [(apart[a, b], apart[a, c], a, b, c) for a, b, c in (
             three, (three[1], three[0], three[2]), (three[2], three[0], three[1])
         )]  # fmt: skip
-        one, other, a, b, c = min(corners, key=lambda corner: corner[0] + corner[1])
-        if min(one, other, apart[b, c]) > shortest and max(one, other) < reach:
-            some.append((one * other * (3 + sum(three)), a, b, c))
+        shorter_a, shorter_b, a, b, c = min(corners, key=lambda corner: corner[0] + corner[1])
+        if min(shorter_a, shorter_b, apart[b, c]) > shortest and max(shorter_a, shorter_b) < reach:
+            some.append((shorter_a * shorter_b * (3 + sum(three)), a, b, c))
     for _, a, b, c in sorted(some):
         yield int(seen[a]), int(seen[b]), int(seen[c])
 
 
-def _angle(a: FloatArray, b: FloatArray) -> float:
+def _compute_angle(a: FloatArray, b: FloatArray) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
-def _angles_of(a: FloatArray, b: FloatArray) -> FloatArray:
-    found: FloatArray = 2.0 * np.arcsin(np.minimum(np.linalg.norm(a - b, axis=1) / 2.0, 1.0))
-    return found
+def _compute_angles(a: FloatArray, b: FloatArray) -> FloatArray:
+    angles: FloatArray = 2.0 * np.arcsin(np.minimum(np.linalg.norm(a - b, axis=1) / 2.0, 1.0))
+    return angles
 
 
-def _wrong_lens(scale: float) -> NoSolutionError:
+def _explain_wrong_lens(scale: float) -> NoSolutionError:
     text = f"the focal length is wrong: the stars fit one {longer(scale - 1.0)}"
     return NoSolutionError(text, ReasonCode.WRONG_LENS)
 
 
-def _too_few(spots: StarSpots) -> str:
+def _explain_too_few(spots: StarSpots) -> str:
     if len(spots) >= MIN_STARS:
-        return f"most spots are no points, {len(spots)} are{_besides(spots)}"
+        return f"most spots are no points, {len(spots)} are{_describe_rejects(spots)}"
     seen = "1 spot is" if len(spots) == 1 else f"{len(spots)} spots are"
-    return f"{seen} fewer than the {MIN_STARS} stars wanted{_besides(spots)}"
+    return f"{seen} fewer than the {MIN_STARS} stars wanted{_describe_rejects(spots)}"
 
 
-def _besides(spots: StarSpots) -> str:
-    """What else was seen, in words."""
+def _describe_rejects(spots: StarSpots) -> str:
+    """Describe what else was seen."""
     parts = []
     if spots.n_trails:
         are = "1 spot is" if spots.n_trails == 1 else f"{spots.n_trails} spots are"

@@ -23,7 +23,7 @@ from optnav_cli.frames.frames import MAX_DISTANCE_M
 from optnav_cli.frames.picture import frame_picture
 from optnav_cli.frames.run_settings import RUN_TOML, read_run_settings
 from optnav_cli.frames.tables import ATTITUDES, POSITION, QUATERNION, STAR_FRAMES
-from optnav_cli.output.canvas import encoded
+from optnav_cli.output.canvas import encode_picture
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.run_folder import CAMERAS, FRAMES, OVERLAYS
@@ -58,11 +58,11 @@ class StarRow:
         """1 sigma about the camera's x, y and z."""
         if self.fix is None or self.view is None:
             return []
-        whole = np.diag(self.fix.covariance) + self.view.variances
-        return [float(v) for v in np.sqrt(whole) / ARCSEC]
+        variances = np.diag(self.fix.covariance) + self.view.variances
+        return [float(v) for v in np.sqrt(variances) / ARCSEC]
 
     def cells(self) -> dict[str, object]:
-        """Of attitudes.csv."""
+        """Return the cells of attitudes.csv."""
         cells: dict[str, object] = {
             "file": self.file,
             "utc": self.utc,
@@ -80,8 +80,8 @@ class StarRow:
             cells["focal_scale"] = fix.focal_scale
         return cells
 
-    def words(self) -> str:
-        """The row as a line for people."""
+    def describe(self) -> str:
+        """Describe the row in a line for people."""
         if self.fix is None:
             return f"{self.file}: unsolved: {self.reason}"
         x, y, z = self.sigmas_arcsec
@@ -91,7 +91,7 @@ class StarRow:
         )
 
 
-def stars_folder(
+def solve_star_folder(
     folder: Path,
     output: Path,
     progress: Progress,
@@ -108,24 +108,24 @@ def stars_folder(
     started = datetime.now(UTC)
     check_apart(output, [folder])
     with logged_stage(STAGE):
-        body = _body(folder)
+        body = _read_body(folder)
         stars = bright_stars() if catalogue is None else read_star_catalog(catalogue, epoch)
         cameras, table = read_cameras(folder / CAMERAS), STAR_FRAMES.rows(folder / FRAMES)
         _check_files(folder / FRAMES, table)
         rows: list[StarRow] = []
-        with replacing_folder(output, STARS_KIND) as place:
-            (place / OVERLAYS).mkdir()
+        with replacing_folder(output, STARS_KIND) as work:
+            (work / OVERLAYS).mkdir()
             with progress.stage(STAGE, len(table), "picture") as bar:
                 for row in table:
-                    rows.append(_row(folder, row, cameras, (body, stars), place / OVERLAYS))
+                    rows.append(_solve_row(folder, row, cameras, (body, stars), work / OVERLAYS))
                     bar.advance()
-            ATTITUDES.write(place / ATTITUDES_CSV, (row.cells() for row in rows))
+            ATTITUDES.write(work / ATTITUDES_CSV, (row.cells() for row in rows))
             files = [row.file for row in rows]
             write_manifest(
-                place,
+                work,
                 STARS_KIND,
                 command="stars",
-                options=_options(catalogue, epoch),
+                options=_describe_catalogue(catalogue, epoch),
                 inputs={"folder": folder, "files_sha256": hash_files(folder, [*files, FRAMES])},
                 results={"pictures": len(rows), "solved": sum(row.solved for row in rows)},
                 started=started,
@@ -138,19 +138,19 @@ def stars_folder(
     return rows
 
 
-def star_lines(rows: Sequence[StarRow]) -> list[str]:
-    """A line for each picture, at most thirty."""
+def list_result_lines(rows: Sequence[StarRow]) -> list[str]:
+    """List the result: a line per picture, at most thirty."""
     solved = sum(row.solved for row in rows)
-    return [f"solved {solved} of {len(rows)}", *(row.words() for row in rows[:30])]
+    return [f"solved {solved} of {len(rows)}", *(row.describe() for row in rows[:30])]
 
 
-def _body(folder: Path) -> Body:
+def _read_body(folder: Path) -> Body:
     path = folder / RUN_TOML
     return read_run_settings(path)[1] if path.exists() else load_body(DEFAULT_BODY)
 
 
-def _options(catalogue: Path | None, epoch: float | None) -> dict[str, object]:
-    """What the manifest says of the user's own catalogue."""
+def _describe_catalogue(catalogue: Path | None, epoch: float | None) -> dict[str, object]:
+    """Describe the user's own catalogue for the manifest."""
     if catalogue is None:
         return {}
     return {"catalogue": catalogue, "catalogue_sha256": hash_file(catalogue), "epoch": epoch}
@@ -162,12 +162,12 @@ def _check_files(path: Path, table: Sequence[CsvRow]) -> None:
     for row in table:
         file = row["file"]
         if not file or file in seen:
-            found = f"'{file}' stands twice" if file else "names no picture in column 'file'"
-            raise DataError(f"{row.where}: {found}; give each picture one row of {path.name}")
+            problem = f"'{file}' stands twice" if file else "names no picture in column 'file'"
+            raise DataError(f"{row.where}: {problem}; give each picture one row of {path.name}")
         seen.add(file)
 
 
-def _row(
+def _solve_row(
     folder: Path,
     row: CsvRow,
     cameras: dict[str, Camera],
@@ -183,10 +183,10 @@ def _row(
         if camera is None:
             known = ", ".join(sorted(cameras))
             raise DataError(f"camera '{row['camera']}' has no file in cameras/; there are {known}")
-        place = row.vector(POSITION)
-        if place is not None and np.abs(place).max() > MAX_DISTANCE_M:
+        position = row.vector(POSITION)
+        if position is not None and np.abs(position).max() > MAX_DISTANCE_M:
             raise DataError(f"the position lies farther off than {MAX_DISTANCE_M:g} m")
-        distance = None if place is None else float(np.linalg.norm(place))
+        distance = None if position is None else float(np.linalg.norm(position))
         view = SkyView(body, utc_to_tdb_s(utc) if utc else None, distance, stars)
         picture = frame_picture(folder, file, camera)
     except DataError as error:
@@ -194,13 +194,13 @@ def _row(
     fix, reason = None, ""
     try:
         spots = find_spots(picture.values, picture.saturation)
-        fix = StarIdentifier(camera, view.directions(), stars).identify(spots)
+        fix = StarIdentifier(camera, view.compute_directions(), stars).identify(spots)
         if not utc:
             reason = 'no time: the stars are those of J2025, aberration (20") is in the sigmas'
     except NoSolutionError as error:
         reason = str(error)
     reason = "; ".join(filter(None, [reason, *picture.remarks]))
-    found = StarRow(file, utc, spots, fix, view, reason)
-    drawn = draw_stars(picture.values, spots, fix, found.words(), stars)
-    overlay_path(overlays, file).write_bytes(encoded(drawn, ".png"))
-    return found
+    solved_row = StarRow(file, utc, spots, fix, view, reason)
+    drawn = draw_stars(picture.values, spots, fix, solved_row.describe(), stars)
+    overlay_path(overlays, file).write_bytes(encode_picture(drawn, ".png"))
+    return solved_row

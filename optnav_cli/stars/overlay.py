@@ -4,7 +4,14 @@ import numpy as np
 
 from catalog.arrays import ByteArray, Float32Array
 from catalog.bodies.stars import BrightStars, bright_stars
-from optnav_cli.output.canvas import Canvas, dimmed, eight_bits, resized, shrink_factor, text_width
+from optnav_cli.output.canvas import (
+    Canvas,
+    compute_shrink_factor,
+    measure_text,
+    resize_picture,
+    scale_to_eight_bits,
+    shade_picture,
+)
 from optnav_cli.stars.identify import StarFix
 from optnav_cli.stars.spots import StarSpots
 
@@ -20,9 +27,9 @@ def draw_stars(
     words: str,
     catalog: BrightStars | None = None,
 ) -> ByteArray:
-    """The picture (h', w', 3) with its spots and stars, and a strip below with the result."""
-    factor = shrink_factor(picture.shape[1], picture.shape[0], MAX_PX)
-    canvas = Canvas(dimmed(resized(_stretched(picture), factor)), factor)
+    """Draw the picture (h', w', 3) with spots and stars over a strip with the result."""
+    factor = compute_shrink_factor(picture.shape[1], picture.shape[0], MAX_PX)
+    canvas = Canvas(shade_picture(resize_picture(_stretch(picture), factor)), factor)
     matched = set() if fix is None else set(fix.spots.tolist())
     for number, pixel in enumerate([] if spots is None else spots.pixels):
         if number not in matched:
@@ -37,8 +44,8 @@ def draw_stars(
             if row < MAX_NAMED:
                 x, y = (pixel + 0.5) * factor
                 label = stars.label(int(star))
-                right = x + 10.0 + text_width(label) < canvas.image.shape[1]
-                canvas.text(label, x + 10.0 if right else x - 10.0 - text_width(label), y, colour)
+                right = x + 10.0 + measure_text(label) < canvas.image.shape[1]
+                canvas.text(label, x + 10.0 if right else x - 10.0 - measure_text(label), y, colour)
     strip = Canvas(np.full((54, canvas.image.shape[1], 3), 24, dtype=np.uint8), 1.0)
     room = max(int(canvas.image.shape[1] / 7.5), 10)
     strip.text(words.encode("ascii", "replace").decode("ascii")[:room], 10, 20, (235, 235, 235))
@@ -47,9 +54,9 @@ def draw_stars(
     return np.vstack([canvas.image, strip.image])
 
 
-def _stretched(picture: Float32Array) -> ByteArray:
-    """Eight bits, in which stars of the threshold are seen beside the bright ones."""
+def _stretch(picture: Float32Array) -> ByteArray:
+    """Map to eight bits, in which stars of the threshold are seen beside the bright ones."""
     sky = float(np.median(picture[::4, ::4]))
     noise = max(1.4826 * float(np.median(np.abs(picture[::4, ::4] - sky))), 1e-6)
     scaled = np.arcsinh(np.maximum(picture - sky, 0.0) / (4.0 * noise))
-    return eight_bits(scaled)
+    return scale_to_eight_bits(scaled)

@@ -16,8 +16,8 @@ STARS_KIND, ATTITUDES_CSV = "stars", "attitudes.csv"
 HEADER = ("file", "UTC", "stars", "of spots", "rms, px", "σ across, ″", "σ about, ″", "chance")
 
 
-def stars_page(folder: Path) -> str:
-    """The page. Raises DataError for a folder that lacks its table."""
+def build_stars_page(folder: Path) -> str:
+    """Build the page of a run. Raises DataError for a folder that lacks its table."""
     manifest = read_manifest(folder)
     rows = ATTITUDES.rows(folder / ATTITUDES_CSV)
     solved = [row for row in rows if row["status"] == "solved"]
@@ -34,21 +34,21 @@ def stars_page(folder: Path) -> str:
     sections = [
         html.section("Result", html.tiles(tiles)),
         html.section("Pictures", html.anchor("pictures"), html.paragraph(words), *notes, shown),
-        html.section("Attitudes", html.table(HEADER, [_cells(row) for row in solved], 2)),
-        _unsolved(lost),
+        html.section("Attitudes", html.table(HEADER, [_format_cells(row) for row in solved], 2)),
+        _list_unsolved(lost),
         html.section("Made from", html.folded("manifest.json", html.listing(manifest))),
     ]
     subtitle = f"{len(rows)} pictures, {len(solved)} solved. Attitudes are camera_from_inertial."
     return html.page(f"Stars: run {folder.resolve().name}", subtitle, filter(None, sections))
 
 
-def _unsolved(rows: Sequence[tuple[str, str, str]]) -> Markup:
+def _list_unsolved(rows: Sequence[tuple[str, str, str]]) -> Markup:
     if not rows:
         return Markup()
     return html.section("Without an attitude", html.table(("file", "UTC", "reason"), rows, 3))
 
 
-def _cells(row: CsvRow) -> tuple[str, ...]:
+def _format_cells(row: CsvRow) -> tuple[str, ...]:
     def shown(name: str, form: str) -> str:
         value = row.number(name)
         return "" if value is None else format(value, form)

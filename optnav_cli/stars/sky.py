@@ -19,7 +19,7 @@ EARTH_SPEED_M_S = 29_785.0  # mean, about the Sun
 
 @dataclass(frozen=True)
 class SkyView:
-    """Whose motion displaces the stars, and when: TDB s past J2000, None where not known.
+    """Observer whose motion displaces the stars, and the time: TDB s past J2000 or None.
 
     distance_m  of the craft from the body's centre, None where not known: a low orbit's
     catalog     the stars that are looked for
@@ -30,8 +30,8 @@ class SkyView:
     distance_m: float | None = None
     catalog: BrightStars = field(default_factory=bright_stars)
 
-    def directions(self) -> FloatArray:
-        """Where the catalog's stars are seen, inertial axes: (n, 3)."""
+    def compute_directions(self) -> FloatArray:
+        """Compute where the catalog's stars are seen, inertial axes: (n, 3)."""
         stars = self.catalog.at(self.tdb_s)
         if self.tdb_s is None:
             return stars
@@ -39,7 +39,7 @@ class SkyView:
 
     @property
     def sigma_rad(self) -> float:
-        """What is not known of aberration, 1 sigma an axis: an orbit's motion, or the Earth's."""
+        """Unknown part of aberration, 1 sigma per axis: an orbit's motion, or the Earth's."""
         # a circle's speed in a direction that is not known: two of three components count
         distance = max(self.distance_m or 0.0, self.body.radius_m)
         orbit = np.sqrt(self.body.gm_m3_s2 / distance)
@@ -48,7 +48,7 @@ class SkyView:
 
     @property
     def variances(self) -> FloatArray:
-        """The same as variances (3,) about a camera's axes, rad^2; about the boresight it is less.
+        """Variances (3,) of aberration about a camera's axes, rad^2; least about the boresight.
 
         There only stars off the axis show it: a quarter is for fields of up to 60 deg.
         """
@@ -57,20 +57,20 @@ class SkyView:
 
 @dataclass(frozen=True)
 class StarSight:
-    """The attitude of a picture by its stars, 1 sigma an axis, rad; None, with the reason."""
+    """Attitude of a picture by its stars, 1 sigma per axis, rad; None, with the reason."""
 
     camera_from_inertial: Rotation | None
     sigma_rad: float
     reason: str
 
 
-def star_sight(
+def find_star_attitude(
     picture: Float32Array, saturation: float | None, camera: Camera, view: SkyView
 ) -> StarSight:
-    """The attitude of a picture (h, w) by its stars, or why there is none."""
+    """Find the attitude of a picture (h, w) by its stars, or why there is none."""
     try:
         spots = find_spots(picture, saturation)
-        fix = StarIdentifier(camera, view.directions(), view.catalog).identify(spots)
+        fix = StarIdentifier(camera, view.compute_directions(), view.catalog).identify(spots)
     except NoSolutionError as error:
         return StarSight(None, 0.0, str(error))
     # navigation takes one sigma for all axes; across, where the ground is moved most, it is honest

@@ -52,7 +52,7 @@ class StarSpots:
 
 
 def find_spots(picture: Float32Array, saturation: float | None = None) -> StarSpots:
-    """The spots of a picture (h, w) that look like stars.
+    """Find the spots of a picture (h, w) that look like stars.
 
     Pixels without a value are NaN; a spot whose window reaches one is left out.
     """
@@ -60,20 +60,20 @@ def find_spots(picture: Float32Array, saturation: float | None = None) -> StarSp
     holed = bool(gaps.any())
     if holed:
         picture = np.where(gaps, np.nanmedian(picture), picture)
-    over = picture - _background(picture)
+    over = picture - _estimate_background(picture)
     over[gaps] = 0.0
     smooth = cv2.GaussianBlur(over, (0, 0), SMOOTH_PX)
-    body = _bodies(picture, over, _noise(smooth, ~gaps), saturation)
+    body = _find_bodies(picture, over, _estimate_noise(smooth, ~gaps), saturation)
     share = float(body.mean())
     if holed:
         wide = np.ones((2 * WINDOW_PX + 1, 2 * WINDOW_PX + 1), np.uint8)
         body = body | (cv2.dilate(gaps.view(np.uint8), wide) > 0)
     # relief of a lit body is no noise: with a third of the picture it would count 1.6 times
-    sigma, noise = _noise(smooth, ~body), _noise(over, ~body)
+    sigma, noise = _estimate_noise(smooth, ~body), _estimate_noise(over, ~body)
     lit = (smooth > THRESHOLD_SIGMAS * sigma) & ~body
     count, labels, stats, _ = cv2.connectedComponentsWithStats(lit.astype(np.uint8))
     del labels
-    found: list[tuple[float, float, float]] = []
+    centroids: list[tuple[float, float, float]] = []
     trails = hot = 0
     for number in range(1, count):
         left, top, width, height, area = (int(v) for v in stats[number])
@@ -81,7 +81,7 @@ def find_spots(picture: Float32Array, saturation: float | None = None) -> StarSp
         if area < MIN_PIXELS:
             continue
         part = np.asarray(smooth[top : top + height, left : left + width], np.float32)
-        ratio, length = _elongation(part * (part > THRESHOLD_SIGMAS * sigma))
+        ratio, length = _measure_elongation(part * (part > THRESHOLD_SIGMAS * sigma))
         if ratio > TRAIL_RATIO and length > MIN_TRAIL_PX:
             trails += 1
             continue
@@ -89,29 +89,29 @@ def find_spots(picture: Float32Array, saturation: float | None = None) -> StarSp
             continue
         r, c = np.unravel_index(int(np.argmax(part)), part.shape)
         x, y = left + int(c), top + int(r)
-        if _touches(body, x, y, picture.shape):
+        if _is_touching(body, x, y, picture.shape):
             continue
         if _is_hot(over, x, y):
             hot += 1
             continue
-        centred = _centroid(over, float(x), float(y))
+        centred = _locate_centroid(over, float(x), float(y))
         if centred is not None:
-            found.append(centred)
-    found.sort(key=lambda spot: -spot[2])
-    table = np.array(found[:MAX_SPOTS]).reshape(-1, 3)
+            centroids.append(centred)
+    centroids.sort(key=lambda spot: -spot[2])
+    table = np.array(centroids[:MAX_SPOTS]).reshape(-1, 3)
     # a centroid's noise of a Gaussian spot over white noise, with its window
     by_noise = noise * np.sqrt(8.0 * np.pi) * BLUR_SIGMA_PX**2 / np.maximum(table[:, 2], 1e-9)
     return StarSpots(table[:, :2], table[:, 2], by_noise, trails, hot, share)
 
 
-def _noise(over: NDArray[Any], sky: BoolArray) -> float:
-    """1 sigma of a picture (h, w) less its background, where it shows the sky."""
+def _estimate_noise(over: NDArray[Any], sky: BoolArray) -> float:
+    """Estimate 1 sigma of a picture (h, w) less its background, where it shows the sky."""
     sample = np.abs(over[::3, ::3][sky[::3, ::3]])
     return max(1.4826 * float(np.median(sample)), 1e-6) if sample.size else 1e-6
 
 
-def _background(picture: Float32Array) -> Float32Array:
-    """Medians of blocks of every other pixel, between them as a smooth surface."""
+def _estimate_background(picture: Float32Array) -> Float32Array:
+    """Estimate the background by medians of blocks of every other pixel, interpolated."""
     rows, cols = (max(1, side // BLOCK_PX) for side in picture.shape)
     tall, wide = picture.shape[0] // rows, picture.shape[1] // cols
     part = picture[: rows * tall, : cols * wide].reshape(rows, tall, cols, wide)
@@ -123,10 +123,10 @@ def _background(picture: Float32Array) -> Float32Array:
     return np.asarray(cv2.resize(blocks, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def _bodies(
+def _find_bodies(
     picture: Float32Array, over: Float32Array, sigma: float, saturation: float | None
 ) -> BoolArray:
-    """Large lit areas, with a margin: (h, w)."""
+    """Find large lit areas, with a margin: (h, w)."""
     sky = float(np.median(picture[::4, ::4]))
     highest = float(picture.max())
     level = sky + max(20.0 * sigma, 0.1 * (min(highest, saturation or highest) - sky))
@@ -144,24 +144,24 @@ def _bodies(
         chosen[0] = False
         body = chosen[labels] | up
         wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BODY_MARGIN_PX + 1,) * 2)
-        body = cv2.dilate(_with_night_side(body), wide) > 0
+        body = cv2.dilate(_cover_night_side(body), wide) > 0
     covered: BoolArray = body
     return covered
 
 
-def _with_night_side(body: BoolArray) -> NDArray[np.uint8]:
-    """Lit areas with the discs that they are of: sunlit peaks stand beyond a terminator."""
-    found = body.astype(np.uint8)
-    contours, _ = cv2.findContours(found, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+def _cover_night_side(body: BoolArray) -> NDArray[np.uint8]:
+    """Cover the discs that lit areas are part of: sunlit peaks stand beyond a terminator."""
+    covered = body.astype(np.uint8)
+    contours, _ = cv2.findContours(covered, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     for contour in contours:
         (x, y), radius = cv2.minEnclosingCircle(contour)
         # a rod of the ship is part of no disc
         if cv2.contourArea(contour) > MIN_LIT_SHARE * np.pi * radius**2:
-            cv2.circle(found, (round(x), round(y)), round(radius), 1, -1)
-    return found
+            cv2.circle(covered, (round(x), round(y)), round(radius), 1, -1)
+    return covered
 
 
-def _touches(body: BoolArray, x: int, y: int, shape: tuple[int, ...]) -> bool:
+def _is_touching(body: BoolArray, x: int, y: int, shape: tuple[int, ...]) -> bool:
     """Whether a spot's window leaves the picture or reaches a body."""
     r, rows, cols = WINDOW_PX, shape[0], shape[1]
     if x < r or y < r or x >= cols - r or y >= rows - r:
@@ -169,8 +169,8 @@ def _touches(body: BoolArray, x: int, y: int, shape: tuple[int, ...]) -> bool:
     return bool(body[y - r : y + r + 1, x - r : x + r + 1].any())
 
 
-def _elongation(part: Float32Array) -> tuple[float, float]:
-    """Longer by shorter axis of light (h, w), and the longer one's full length, px."""
+def _measure_elongation(part: Float32Array) -> tuple[float, float]:
+    """Measure longer by shorter axis of light (h, w), and the longer one's full length, px."""
     rows, cols = np.mgrid[: part.shape[0], : part.shape[1]]
     total = max(float(part.sum()), 1e-9)
     x, y = float((part * cols).sum()) / total, float((part * rows).sum()) / total
@@ -187,8 +187,8 @@ def _is_hot(over: Float32Array, x: int, y: int) -> bool:
     return float(patch.sum()) - middle < MIN_NEIGHBOUR_SHARE * middle
 
 
-def _centroid(over: Float32Array, x: float, y: float) -> tuple[float, float, float] | None:
-    """Place and light of a spot; None where it runs away."""
+def _locate_centroid(over: Float32Array, x: float, y: float) -> tuple[float, float, float] | None:
+    """Locate a spot and sum its light; None where the centroid runs away."""
     c0, r0 = round(x), round(y)
     window = over[r0 - WINDOW_PX : r0 + WINDOW_PX + 1, c0 - WINDOW_PX : c0 + WINDOW_PX + 1]
     patch = window.astype(np.float64)

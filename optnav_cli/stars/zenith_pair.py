@@ -20,8 +20,8 @@ VERTICAL_DEG = 5.0  # a star in the zenith says little: the distance has no sign
 
 
 @cache
-def navigation_stars() -> IntArray:
-    """Numbers of the 21 stars in `bright_stars`."""
+def list_navigation_stars() -> IntArray:
+    """List the numbers of the 21 stars in `bright_stars`."""
     stars = bright_stars()
     bright = stars.magnitudes <= FAINTEST
     return np.flatnonzero(bright | (np.array(stars.names) == POLARIS)).astype(np.int64)
@@ -29,7 +29,7 @@ def navigation_stars() -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class SightPlace:
-    """Where the stars are looked at from, inertial axes.
+    """Observer of stars, inertial axes.
 
     place_m     (3,) of the craft from the body's centre, whose radius is radius_m
     sun         (3,) towards the Sun;  neighbours_m  (n, 3) places of other bright bodies
@@ -40,21 +40,21 @@ class SightPlace:
     sun: FloatArray
     neighbours_m: FloatArray
 
-    def visible(self, directions: FloatArray) -> BoolArray:
-        """(n,) whether stars (n, 3) may be looked at."""
+    def find_visible(self, directions: FloatArray) -> BoolArray:
+        """Find which stars (n, 3) may be looked at."""
         up, distance = unit(self.place_m), float(np.linalg.norm(self.place_m))
         edge = np.arcsin(min(self.radius_m / distance, 1.0)) + np.radians(LIMB_DEG)
         height = directions @ up
         seen: BoolArray = (height > -np.cos(edge)) & (height < np.cos(np.radians(VERTICAL_DEG)))
         seen &= directions @ unit(self.sun) < np.cos(np.radians(SUN_DEG))
-        for place in self.neighbours_m:
-            there = unit(place - self.place_m)
+        for neighbour in self.neighbours_m:
+            there = unit(neighbour - self.place_m)
             seen &= directions @ there < np.cos(np.radians(NEIGHBOUR_DEG))
         return seen
 
 
-def zenith_pair(place: SightPlace, pole: FloatArray, directions: FloatArray) -> list[int]:
-    """Numbers of the star nearest to an orbit's pole and of that nearest to its plane.
+def choose_zenith_pair(place: SightPlace, pole: FloatArray, directions: FloatArray) -> list[int]:
+    """Choose the star nearest to an orbit's pole and that nearest to its plane, by number.
 
     pole        (3,) of the orbit, either way
     directions  (n, 3) of the stars to choose from
@@ -62,11 +62,11 @@ def zenith_pair(place: SightPlace, pole: FloatArray, directions: FloatArray) -> 
     Fewer than two where fewer are visible.
     """
     from_pole = np.abs(directions @ unit(pole))
-    seen = np.flatnonzero(place.visible(directions))
+    seen = np.flatnonzero(place.find_visible(directions))
     if not len(seen):
         return []
     chosen = [int(seen[np.argmax(from_pole[seen])])]
-    rest = seen[seen != chosen[0]]
-    if len(rest):
-        chosen.append(int(rest[np.argmin(from_pole[rest])]))
+    others = seen[seen != chosen[0]]
+    if len(others):
+        chosen.append(int(others[np.argmin(from_pole[others])]))
     return chosen

@@ -19,8 +19,8 @@ from catalog.geometry.vectors import perpendicular_basis
 from optnav_cli.estimation.least_squares import inverse_of
 from optnav_cli.estimation.robust import TUKEY, scatter, tukey_weights
 from optnav_cli.reasons import ReasonCode
-from optnav_cli.stereo.rig import Rig, warped
-from optnav_cli.stereo.windows import STEP_PX, Shifts, window_shifts
+from optnav_cli.stereo.rig import Rig, resample
+from optnav_cli.stereo.windows import STEP_PX, Shifts, measure_shifts
 
 # Windows and blur, px, of the rounds: wide and blurred ones bear the shifts that relief leaves.
 ROUNDS = ((160, 4.0), (96, 2.0), (64, 1.0), (64, 0.0), (64, 0.0))
@@ -54,35 +54,35 @@ class StereoHeight:
 
     @property
     def whole_sigma_m(self) -> float:
-        """Both together."""
+        """Sigma of windows and mounting together."""
         return float(np.hypot(self.sigma_m, self.sigma_mounting_m))
 
 
-def stereo_height(
+def measure_height(
     first: Float32Array, second: Float32Array, rig: Rig, down: FloatArray
 ) -> StereoHeight:
-    """The height that a pair of pictures shows.
+    """Measure the height that a pair of pictures shows.
 
     first, second  (rows, cols) brightness of the cameras of the rig
     down           (3,) unit vector, ship frame
     Raises NoSolutionError, with the reason, where the pictures tell none.
     """
-    rays = rig.grid_rays()
-    inverse = _first_guess(first, second, rig, rays, down)
+    rays = rig.compute_grid_rays()
+    inverse = _guess_height(first, second, rig, rays, down)
     for size, blur in ROUNDS:
-        through = warped(second, _second_pixels(rig, rays, inverse))
-        shifts = window_shifts(first, through, size, blur)
-        nodes = _Nodes.of(rig, rays, inverse, shifts)
-        inverse = nodes.smoothed(inverse.shape)
-    return _height(rig, nodes, down, inverse)
+        through = resample(second, _predict_second_pixels(rig, rays, inverse))
+        shifts = measure_shifts(first, through, size, blur)
+        nodes = _Nodes.locate(rig, rays, inverse, shifts)
+        inverse = nodes.smooth_to_grid(inverse.shape)
+    return _average_height(rig, nodes, down, inverse)
 
 
-def _first_guess(
+def _guess_height(
     first: Float32Array, second: Float32Array, rig: Rig, rays: FloatArray, down: FloatArray
 ) -> FloatArray:
-    """(rows, cols) inverse distances, 1/m, of level ground at the height of one large window."""
+    """Guess inverse distances (rows, cols), 1/m, of level ground by one large window."""
     rows, cols = first.shape
-    there = rig.first.pixels(down[None, :])[0]
+    there = rig.first.project(down[None, :])[0]
     half = TEMPLATE_PX // 2
     if min(rows, cols) < TEMPLATE_PX + 2:
         raise NoSolutionError(
@@ -94,14 +94,14 @@ def _first_guess(
         raise NoSolutionError(text, ReasonCode.OUTSIDE_FRAME)
     column, row = (round(float(value)) for value in there)
     # what the second camera would see were it turned as the first one: parallax alone is left
-    far = warped(second, rig.second.pixels(rays))
+    far = resample(second, rig.second.project(rays))
     level = float(np.nanmean(far)) if np.isfinite(far).any() else 0.0
     template = first[row - half : row + half, column - half : column + half]
     filled = np.where(np.isfinite(far), far, level).astype(np.float32)
     scores = cv2.matchTemplate(filled, template, cv2.TM_CCOEFF_NORMED)
     middle = rays[row, column]
     base = rig.second.place_m - rig.first.place_m
-    _, by_vector = rig.first.seen(middle[None, :])
+    _, by_vector = rig.first.linearise_projection(middle[None, :])
     along = -(by_vector[0] @ base)  # px for one 1/m
     y, x = np.mgrid[: scores.shape[0], : scores.shape[1]].astype(np.float64)
     x, y = x + half - column, y + half - row
@@ -122,14 +122,14 @@ def _first_guess(
     inverse = max(parallax, 0.5) / length
     # level ground: P . down is the same along all rays
     depth = float(middle @ down) / inverse
-    found: FloatArray = np.maximum(rays @ down, 0.05) / depth
-    return found
+    inverse_distances: FloatArray = np.maximum(rays @ down, 0.05) / depth
+    return inverse_distances
 
 
-def _second_pixels(rig: Rig, rays: FloatArray, inverse: FloatArray) -> FloatArray:
-    """Pixels (rows, cols, 2) of the second camera that show what those of the first do."""
+def _predict_second_pixels(rig: Rig, rays: FloatArray, inverse: FloatArray) -> FloatArray:
+    """Predict pixels (rows, cols, 2) of the second camera that show what those of the first do."""
     base = rig.second.place_m - rig.first.place_m
-    return rig.second.pixels(rays - base * inverse[..., None])
+    return rig.second.project(rays - base * inverse[..., None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,14 +146,14 @@ class _Nodes:
     usable: BoolArray
 
     @classmethod
-    def of(cls, rig: Rig, rays: FloatArray, inverse: FloatArray, shifts: Shifts) -> "_Nodes":
+    def locate(cls, rig: Rig, rays: FloatArray, inverse: FloatArray, shifts: Shifts) -> "_Nodes":
         at = np.stack([shifts.y, shifts.x]).astype(np.float32)
         here = cv2.remap(inverse.astype(np.float64), at[1], at[0], cv2.INTER_LINEAR)
-        own = rig.first.rays(np.stack([shifts.x, shifts.y], axis=-1))
-        flat = own.reshape(-1, 3)
+        rays_of_nodes = rig.first.unproject(np.stack([shifts.x, shifts.y], axis=-1))
+        flat = rays_of_nodes.reshape(-1, 3)
         base = rig.second.place_m - rig.first.place_m
         seen_from = flat - base * here.reshape(-1, 1)
-        _, by_vector = rig.first.seen(seen_from)
+        _, by_vector = rig.first.linearise_projection(seen_from)
         # px of the first camera's grid for one 1/m: the second camera turned as the first
         move = -(by_vector @ base).reshape(*here.shape, 2)
         information = np.linalg.inv(shifts.covariance + 1e-9 * np.eye(2))
@@ -163,7 +163,7 @@ class _Nodes:
         aside = move[..., 0] * shifts.shift_px[..., 1] - move[..., 1] * shifts.shift_px[..., 0]
         return cls(
             shifts,
-            own,
+            rays_of_nodes,
             here + gained,
             1.0 / np.sqrt(weight),
             length,
@@ -172,8 +172,8 @@ class _Nodes:
             shifts.usable & np.isfinite(weight),
         )
 
-    def smoothed(self, shape: tuple[int, ...]) -> FloatArray:
-        """(rows, cols) inverse distances of all pixels, smoothed over neighbouring windows."""
+    def smooth_to_grid(self, shape: tuple[int, ...]) -> FloatArray:
+        """Smooth inverse distances over neighbouring windows, for all pixels (rows, cols)."""
         if int(self.usable.sum()) < MIN_WINDOWS:
             raise NoSolutionError(
                 f"only {int(self.usable.sum())} windows show one ground in both pictures",
@@ -183,7 +183,7 @@ class _Nodes:
         design = np.stack(
             [np.ones(self.inverse.size), self.shifts.x.ravel(), self.shifts.y.ravel()]
         )
-        plane, kept = _robust_plane(design.T, self.inverse.ravel(), self.usable.ravel())
+        plane, kept = _fit_robust_plane(design.T, self.inverse.ravel(), self.usable.ravel())
         weights = (self.usable & kept.reshape(self.usable.shape)).astype(np.float64)
         beyond = np.where(
             weights > 0.0, self.inverse - (plane @ design).reshape(self.inverse.shape), 0
@@ -200,27 +200,27 @@ class _Nodes:
             ((y - self.shifts.y[0, 0]) / STEP_PX).astype(np.float32),
         )
         more = cv2.remap(mean, *on_grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        whole: FloatArray = plane[0] + plane[1] * x + plane[2] * y + more
-        return np.maximum(whole, 0.2 * float(np.median(self.inverse[self.usable])))
+        smooth: FloatArray = plane[0] + plane[1] * x + plane[2] * y + more
+        return np.maximum(smooth, 0.2 * float(np.median(self.inverse[self.usable])))
 
 
-def _robust_plane(
+def _fit_robust_plane(
     design: FloatArray, values: FloatArray, usable: BoolArray
 ) -> tuple[FloatArray, BoolArray]:
-    """The plane (k,) through values (n,) by a design (n, k), and which of them it rests on."""
+    """Fit a plane (k,) to values (n,) by a design (n, k); return also which values it rests on."""
     weights: FloatArray = usable.astype(np.float64)
-    found: FloatArray = np.zeros(design.shape[1])
+    plane: FloatArray = np.zeros(design.shape[1])
     for _ in range(6):
         root = np.sqrt(weights)
-        found = np.asarray(np.linalg.lstsq(design * root[:, None], values * root)[0])
-        off = values - design @ found
+        plane = np.asarray(np.linalg.lstsq(design * root[:, None], values * root)[0])
+        off = values - design @ plane
         spread = max(scatter(off[usable]), 1e-12)
         weights = np.where(usable, tukey_weights(off, TUKEY * spread), 0.0).astype(np.float64)
-    return found, weights > 0.0
+    return plane, weights > 0.0
 
 
-def _height(rig: Rig, nodes: _Nodes, down: FloatArray, inverse: FloatArray) -> StereoHeight:
-    """The height over the windows about the point below."""
+def _average_height(rig: Rig, nodes: _Nodes, down: FloatArray, inverse: FloatArray) -> StereoHeight:
+    """Average the height over the windows about the point below."""
     _check_parallax(rig, nodes)
     aside = float(np.median(nodes.aside_px[nodes.usable]))
     if abs(aside) > MAX_ASIDE_PX:
@@ -244,7 +244,7 @@ def _height(rig: Rig, nodes: _Nodes, down: FloatArray, inverse: FloatArray) -> S
     at, z = level[chosen], depth[chosen]
     across = np.stack(perpendicular_basis(down))
     design = np.column_stack([np.ones(count), at @ across.T])
-    _, kept = _robust_plane(design, z, np.ones(count, bool))
+    _, kept = _fit_robust_plane(design, z, np.ones(count, bool))
     # d depth / d inverse distance along the ray
     slope = (nodes.rays[chosen] @ down) / nodes.inverse[chosen] ** 2
     noise = slope * nodes.sigma[chosen]
@@ -260,7 +260,7 @@ def _height(rig: Rig, nodes: _Nodes, down: FloatArray, inverse: FloatArray) -> S
     apart = max(float(kept.sum()) / nodes.shifts.overlap, 1.0)
     excess = max(1.0, float(np.mean(off**2 * weight[kept])) * apart / max(apart - 3.0, 1.0))
     sigma = float(np.sqrt(covariance[0, 0] * nodes.shifts.overlap * excess))
-    mounting = _mounting_sigma_m(rig, nodes, chosen, slope)
+    mounting = _propagate_mounting(rig, nodes, chosen, slope)
     return StereoHeight(float(plane[0]), sigma, mounting, int(kept.sum()), inverse)
 
 
@@ -279,16 +279,16 @@ def _check_parallax(rig: Rig, nodes: _Nodes) -> None:
         )
 
 
-def _mounting_sigma_m(rig: Rig, nodes: _Nodes, chosen: BoolArray, slope: FloatArray) -> float:
-    """What the stated errors of both mountings make of the height, m."""
+def _propagate_mounting(rig: Rig, nodes: _Nodes, chosen: BoolArray, slope: FloatArray) -> float:
+    """Propagate the stated errors of both mountings to the height, m."""
     rays, inverse = nodes.rays[chosen], nodes.inverse[chosen]
     base = rig.second.place_m - rig.first.place_m
-    away = rays - base * inverse[:, None]
-    _, by_vector = rig.first.seen(away)
+    sights = rays - base * inverse[:, None]
+    _, by_vector = rig.first.linearise_projection(sights)
     move = -(by_vector @ base)
     length = np.linalg.norm(move, axis=1)
     variance = 0.0
-    for vectors, error in ((away, rig.second.error_rad), (rays, rig.first.error_rad)):
+    for vectors, error in ((sights, rig.second.error_rad), (rays, rig.first.error_rad)):
         # a turn w of the camera moves what it sees by w x v
         turned = np.einsum("nij,njk->nik", by_vector, -cross_matrix(vectors))
         along = np.einsum("ni,nik->nk", move, turned) / (length**2)[:, None]

@@ -24,10 +24,10 @@ from optnav_cli.frames.run_settings import RUN_TOML
 from optnav_cli.frames.tables import HEIGHTS
 from optnav_cli.navigate.history import SAME_TIME_S
 from optnav_cli.output.manifest import hash_files, write_manifest
-from optnav_cli.output.wording import table_lines
-from optnav_cli.stereo.height import StereoHeight, stereo_height
+from optnav_cli.output.wording import align_table
+from optnav_cli.stereo.height import StereoHeight, measure_height
 from optnav_cli.stereo.rig import Eye, Rig
-from optnav_cli.stereo.velocity import SideVelocity, Step, side_velocity
+from optnav_cli.stereo.velocity import SideVelocity, Step, measure_velocity
 
 KIND, STAGE = "stereo heights", "stereo"
 HEIGHTS_CSV = "heights.csv"
@@ -51,7 +51,7 @@ class StereoRow:
     reason: str = ""
 
     def cells(self) -> dict[str, object]:
-        """The row as the file has it."""
+        """Return the cells of heights.csv."""
         cells: dict[str, object] = {"file_left": self.first, "file_right": self.second}
         cells |= {"utc": self.utc, "reason": self.reason}
         cells["status"] = "unsolved" if self.height is None else "solved"
@@ -68,7 +68,7 @@ class StereoRow:
 
 @dataclass(frozen=True, eq=False)
 class PairState:
-    """What a later pair needs of an earlier one."""
+    """An earlier pair, for the velocity of a later one."""
 
     tdb_s: float
     picture: Float32Array
@@ -77,7 +77,7 @@ class PairState:
     turn_sigma_rad: float
 
 
-def stereo_folder(folder: Path, output: Path, progress: Progress) -> list[StereoRow]:
+def measure_stereo_folder(folder: Path, output: Path, progress: Progress) -> list[StereoRow]:
     """Measure all pairs of a folder and write OUT with heights.csv.
 
     Raises ConfigError for a run.toml without two mounts on a base, DataError for a folder that
@@ -87,21 +87,21 @@ def stereo_folder(folder: Path, output: Path, progress: Progress) -> list[Stereo
     check_apart(output, [folder])
     with logged_stage(STAGE):
         read = read_folder(folder)
-        mounts, rig = rig_of(read)
-        pairs = list(paired(read.frames, mounts))
+        mounts, rig = build_rig(read)
+        pairs = list(pair_frames(read.frames, mounts))
         rows: list[StereoRow] = []
-        with replacing_folder(output, KIND) as place:
+        with replacing_folder(output, KIND) as work:
             with progress.stage(STAGE, len(pairs), "pair") as bar:
                 before: PairState | None = None
                 for pair in pairs:
-                    row, state = _measured(read, rig, pair, before)
+                    row, state = _measure_pair(read, rig, pair, before)
                     before = state or before
                     rows.append(row)
                     bar.advance()
-            HEIGHTS.write(place / HEIGHTS_CSV, (row.cells() for row in rows))
+            HEIGHTS.write(work / HEIGHTS_CSV, (row.cells() for row in rows))
             files = [frame.file for frame in read.frames]
             write_manifest(
-                place,
+                work,
                 KIND,
                 command="stereo",
                 options={},
@@ -116,8 +116,8 @@ def stereo_folder(folder: Path, output: Path, progress: Progress) -> list[Stereo
     return rows
 
 
-def rig_of(folder: Folder) -> tuple[tuple[MountSettings, MountSettings], Rig]:
-    """The mounts and the rig of a folder. Raises ConfigError where run.toml states none."""
+def build_rig(folder: Folder) -> tuple[tuple[MountSettings, MountSettings], Rig]:
+    """Build the mounts and the rig of a folder. Raises ConfigError where run.toml states none."""
     where = folder.path / RUN_TOML
     try:
         mounts = stereo_pair(folder.settings.mount)
@@ -129,14 +129,14 @@ def rig_of(folder: Folder) -> tuple[tuple[MountSettings, MountSettings], Rig]:
                 f"{where}: [[mount]] names the camera '{mount.camera}', which has no file in "
                 f"cameras/; there are {', '.join(sorted(folder.cameras))}"
             )
-    first, second = (Eye.of(mount, folder.cameras[mount.camera]) for mount in mounts)
+    first, second = (Eye.mount_camera(mount, folder.cameras[mount.camera]) for mount in mounts)
     return mounts, Rig(first, second)
 
 
-def paired(
+def pair_frames(
     frames: Sequence[Frame], mounts: tuple[MountSettings, MountSettings]
 ) -> Iterator[tuple[Frame | None, Frame | None, str]]:
-    """Pictures of one time by both cameras, in order of time, and why a picture has no partner."""
+    """Pair pictures of one time by both cameras, in order of time; say why one has no partner."""
     names = [mount.camera for mount in mounts]
     usable = [f for f in frames if f.problem is None and f.tdb_s is not None and f.camera in names]
     usable.sort(key=lambda frame: (frame.tdb_s or 0.0, names.index(frame.camera)))
@@ -146,7 +146,7 @@ def paired(
         side = min((0, 1), key=lambda s: left[s][0].tdb_s or 0.0 if left[s] else math.inf)
         frame = left[side].popleft()
         nearest = left[1 - side][0] if left[1 - side] else None
-        if nearest is not None and _apart_s(frame, nearest) <= SAME_TIME_S:
+        if nearest is not None and _compute_interval_s(frame, nearest) <= SAME_TIME_S:
             left[1 - side].popleft()
             yield (frame, nearest, "") if side == 0 else (nearest, frame, "")
             continue
@@ -155,7 +155,7 @@ def paired(
         else:
             why = (
                 f"camera '{names[1 - side]}' has no picture of this time: the nearest, "
-                f"{nearest.file}, is {_apart_s(frame, nearest):.3g} s away"
+                f"{nearest.file}, is {_compute_interval_s(frame, nearest):.3g} s away"
             )
         yield (frame, None, why) if side == 0 else (None, frame, why)
     for frame in frames:
@@ -163,62 +163,64 @@ def paired(
             yield frame, None, frame.problem
 
 
-def _apart_s(one: Frame, other: Frame) -> float:
+def _compute_interval_s(one: Frame, other: Frame) -> float:
     return abs((one.tdb_s or 0.0) - (other.tdb_s or 0.0))
 
 
-def _measured(
+def _measure_pair(
     folder: Folder,
     rig: Rig,
     pair: tuple[Frame | None, Frame | None, str],
     before: PairState | None,
 ) -> tuple[StereoRow, PairState | None]:
-    """The row of a pair, and what the next one needs of it."""
+    """Measure a pair: its row, and its state for the next one."""
     first, second, why = pair
     names = first.file if first else "", second.file if second else ""
     utc = next((frame.utc for frame in (first, second) if frame), "")
     if first is None or second is None:
         return StereoRow(*names, utc, reason=why), None
     try:
-        one = _brightness(folder, first)
-        other = _brightness(folder, second)
-        ship = _ship_from_body(rig.first, first)
-        down, remark = _down(ship, first)
-        height = stereo_height(one, other, rig, down)
+        brightness = _read_brightness(folder, first)
+        other_brightness = _read_brightness(folder, second)
+        ship = _compute_ship_attitude(rig.first, first)
+        down, remark = _find_down(ship, first)
+        height = measure_height(brightness, other_brightness, rig, down)
     except (DataError, NoSolutionError) as error:
         return StereoRow(*names, utc, reason=str(error)), None
     tdb_s = first.tdb_s or 0.0
     sigma = first.own_attitude_sigma_rad
-    state = PairState(tdb_s, one, height, ship, math.inf if sigma is None else sigma)
+    state = PairState(tdb_s, brightness, height, ship, math.inf if sigma is None else sigma)
     row = StereoRow(*names, utc, height, reason=remark)
     if before is None:
         return row, state
     try:
-        velocity = _velocity(before, state, rig.first, down)
+        velocity = _measure_velocity(before, state, rig.first, down)
     except NoSolutionError as error:
         said = f"{remark}; " if remark else ""
         return StereoRow(*names, utc, height, reason=f"{said}no velocity: {error}"), state
     return StereoRow(*names, utc, height, velocity, remark), state
 
 
-def _brightness(folder: Folder, frame: Frame) -> Float32Array:
+def _read_brightness(folder: Folder, frame: Frame) -> Float32Array:
     return frame_picture(folder.path, frame.file, folder.cameras[frame.camera]).values
 
 
-def _ship_from_body(eye: Eye, frame: Frame) -> Rotation | None:
+def _compute_ship_attitude(eye: Eye, frame: Frame) -> Rotation | None:
     turn = frame.camera_from_body
     return None if turn is None else eye.ship_from_camera * turn
 
 
-def _down(ship_from_body: Rotation | None, frame: Frame) -> tuple[FloatArray, str]:
-    """The way down (3,) in the ship's frame, and a remark where it is assumed."""
+def _find_down(ship_from_body: Rotation | None, frame: Frame) -> tuple[FloatArray, str]:
+    """Find the way down (3,) in the ship's frame, with a remark where it is assumed."""
     if ship_from_body is None or frame.position_m is None:
         return SHIP_DOWN, LEVEL
-    found: FloatArray = ship_from_body.apply(-unit(frame.position_m))
-    return found, ""
+    down: FloatArray = ship_from_body.apply(-unit(frame.position_m))
+    return down, ""
 
 
-def _velocity(before: PairState, now: PairState, eye: Eye, down: FloatArray) -> SideVelocity:
+def _measure_velocity(
+    before: PairState, now: PairState, eye: Eye, down: FloatArray
+) -> SideVelocity:
     seconds = now.tdb_s - before.tdb_s
     if seconds > MAX_STEP_S:
         raise NoSolutionError(f"the pair before is {seconds:.0f} s old")
@@ -231,24 +233,24 @@ def _velocity(before: PairState, now: PairState, eye: Eye, down: FloatArray) -> 
         raise NoSolutionError("the attitudes have no sigma: a turn looks like a motion")
     turn = before.ship_from_body * now.ship_from_body.inv()
     step = Step(seconds, turn, sigma, down)
-    return side_velocity((before.picture, before.height), (now.picture, now.height), eye, step)
+    return measure_velocity((before.picture, before.height), (now.picture, now.height), eye, step)
 
 
-def stereo_lines(rows: Sequence[StereoRow]) -> list[str]:
-    """A summary for people."""
+def list_result_lines(rows: Sequence[StereoRow]) -> list[str]:
+    """List the heights for people."""
     head = ("pair", "height, m", "sigma", "mounting", "side velocity, m/s", "sigma", "")
     table: list[tuple[str, ...]] = []
     for row in rows:
         height, velocity = row.height, row.velocity
-        cells = ["", "", ""] if height is None else _three(height)
+        cells = ["", "", ""] if height is None else _format_height(height)
         speed = ("", "")
         if velocity is not None:
             x, y = velocity.velocity_m_s[:2]
             speed = (f"{x:.3f} {y:.3f}", f"{velocity.side_sigma_m_s:.3f}")
         table.append((row.first or row.second, *cells, *speed, row.reason))
-    return table_lines([head, *table], left=(0, 6))
+    return align_table([head, *table], left=(0, 6))
 
 
-def _three(height: StereoHeight) -> list[str]:
+def _format_height(height: StereoHeight) -> list[str]:
     values = height.height_m, height.sigma_m, height.sigma_mounting_m
     return [f"{value:.3f}" for value in values]

@@ -19,7 +19,7 @@ OUTSIDE = -1e4  # pixel where a warp has no picture
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """A camera as it stands in the ship: place (3,) m, and how it is turned; error 1 sigma, rad."""
+    """A camera mounted in the ship: place (3,) m, rotation; mounting error 1 sigma, rad."""
 
     camera: Camera
     place_m: FloatArray
@@ -27,23 +27,23 @@ class Eye:
     error_rad: float = 0.0
 
     @classmethod
-    def of(cls, mount: MountSettings, camera: Camera) -> "Eye":
-        """The camera of a mount."""
+    def mount_camera(cls, mount: MountSettings, camera: Camera) -> "Eye":
+        """Return the camera of a mount."""
         return cls(camera, mount.place_m, mount.turn, mount.error_rad)
 
-    def rays(self, pixels: FloatArray) -> FloatArray:
-        """Unit rays (..., 3), ship frame, of pixels (..., 2)."""
+    def unproject(self, pixels: FloatArray) -> FloatArray:
+        """Unproject pixels (..., 2) to unit rays (..., 3), ship frame."""
         rays: FloatArray = self.camera.unproject(pixels) @ self.ship_from_camera.as_matrix().T
         return rays
 
-    def seen(self, away: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Pixels (n, 2) of vectors (n, 3) from the camera, ship frame, and d pixel / d vector."""
+    def linearise_projection(self, away: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Project vectors (n, 3) from the camera, ship frame; return also d pixel / d vector."""
         turn = self.ship_from_camera.as_matrix()
         pixels, by_point = self.camera.project_with_jacobian(away @ turn)
         return pixels, by_point @ turn.T
 
-    def pixels(self, away: FloatArray) -> FloatArray:
-        """Pixels (..., 2) of vectors (..., 3) from the camera, ship frame."""
+    def project(self, away: FloatArray) -> FloatArray:
+        """Project vectors (..., 3) from the camera, ship frame, to pixels (..., 2)."""
         return self.camera.project(away @ self.ship_from_camera.as_matrix())
 
 
@@ -59,21 +59,21 @@ class Rig:
         """Distance between the cameras."""
         return float(np.linalg.norm(self.second.place_m - self.first.place_m))
 
-    def grid_rays(self) -> FloatArray:
-        """Rays (rows, cols, 3), ship frame, of the first camera's pixels."""
+    def compute_grid_rays(self) -> FloatArray:
+        """Compute rays (rows, cols, 3), ship frame, of the first camera's pixels."""
         rows, cols = self.first.camera.shape
         x, y = np.meshgrid(np.arange(cols, dtype=np.float64), np.arange(rows, dtype=np.float64))
-        return self.first.rays(np.stack([x, y], axis=-1))
+        return self.first.unproject(np.stack([x, y], axis=-1))
 
 
-def warped(picture: Float32Array, pixels: FloatArray) -> Float32Array:
-    """A picture at pixels (rows, cols, 2), by cubic splines; NaN outside of it.
+def resample(picture: Float32Array, pixels: FloatArray) -> Float32Array:
+    """Resample a picture at pixels (rows, cols, 2), by cubic splines; NaN outside of it.
 
     cv2.remap rounds places to 1/32 px and cubic convolution moves fine texture by 0.01 px: 0.1 and
     0.05 m of height at 100 m over a base of 1 m.
     """
     places = np.where(np.isfinite(pixels), pixels, OUTSIDE)
-    found: Float32Array = map_coordinates(
+    resampled: Float32Array = map_coordinates(
         picture,
         [places[..., 1], places[..., 0]],
         order=3,
@@ -81,4 +81,4 @@ def warped(picture: Float32Array, pixels: FloatArray) -> Float32Array:
         cval=np.nan,
         output=np.float32,
     )
-    return found
+    return resampled

@@ -18,8 +18,8 @@ from optnav_cli.estimation.least_squares import inverse_of
 from optnav_cli.estimation.robust import TUKEY, scatter, tukey_weights
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.stereo.height import MIN_LEAD, MIN_PEAK, MIN_WINDOWS, RIVAL_PX, StereoHeight
-from optnav_cli.stereo.rig import Eye, warped
-from optnav_cli.stereo.windows import window_shifts
+from optnav_cli.stereo.rig import Eye, resample
+from optnav_cli.stereo.windows import measure_shifts
 
 TEMPLATE_PX = 256  # of the search
 ROUNDS = ((96, 2.0), (64, 1.0), (64, 0.0))
@@ -28,7 +28,7 @@ MAX_LEFT_PX = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What is known between two pictures.
+    """Motion known between two pictures.
 
     seconds         from the earlier to the later
     before_from_now rotation of ship frames by the attitudes;  turn_sigma_rad its error an axis
@@ -50,81 +50,81 @@ class SideVelocity:
 
     @property
     def side_sigma_m_s(self) -> float:
-        """1 sigma of x and y, a component."""
+        """1 sigma of x and y, per component."""
         return float(np.sqrt(0.5 * np.trace(self.covariance[:2, :2])))
 
 
-def side_velocity(
+def measure_velocity(
     before: tuple[Float32Array, StereoHeight],
     now: tuple[Float32Array, StereoHeight],
     eye: Eye,
     step: Step,
 ) -> SideVelocity:
-    """The velocity between two pictures of a camera, each with the height of its time.
+    """Measure the velocity between two pictures of a camera, each with the height of its time.
 
     Raises NoSolutionError where the pictures share too little ground.
     """
     picture, height = now
     turn = step.before_from_now.as_matrix()
     shift = turn @ step.down * (before[1].height_m - height.height_m)
-    shift = shift + _search(before[0], now, eye, turn, shift)
+    shift = shift + _search_shift(before[0], now, eye, turn, shift)
     inverse = height.inverse_m
     for size, blur in ROUNDS:
-        through = _through(before[0], inverse, eye, turn, shift)
-        found = window_shifts(picture, through, size, blur)
-        at = np.stack([found.x, found.y]).astype(np.float32)
-        here = cv2.remap(inverse, at[0], at[1], cv2.INTER_LINEAR)[found.usable]
-        pixels = np.stack([found.x, found.y], axis=-1)[found.usable]
+        through = _resample_earlier(before[0], inverse, eye, turn, shift)
+        windows = measure_shifts(picture, through, size, blur)
+        at = np.stack([windows.x, windows.y]).astype(np.float32)
+        here = cv2.remap(inverse, at[0], at[1], cv2.INTER_LINEAR)[windows.usable]
+        pixels = np.stack([windows.x, windows.y], axis=-1)[windows.usable]
         if len(pixels) < MIN_WINDOWS:
             raise NoSolutionError(
                 f"only {len(pixels)} windows show one ground in the pictures of both times",
                 ReasonCode.FEW_POINTS,
             )
-        places = eye.place_m + eye.rays(pixels) / here[:, None]
-        _, by_vector = eye.seen(places - turn.T @ (eye.place_m - shift))
+        places = eye.place_m + eye.unproject(pixels) / here[:, None]
+        _, by_vector = eye.linearise_projection(places - turn.T @ (eye.place_m - shift))
         by_shift = by_vector @ turn.T
-        moved = found.shift_px[found.usable]
-        covariances = found.covariance[found.usable] + 1e-9 * np.eye(2)
+        moved = windows.shift_px[windows.usable]
+        covariances = windows.covariance[windows.usable] + 1e-9 * np.eye(2)
         information = np.linalg.inv(covariances).astype(np.float64)
-        change, normal, weights = _robust_shift(by_shift, moved, information)
+        change, normal, weights = _fit_robust_shift(by_shift, moved, information)
         shift = shift + change
     left = moved - by_shift @ change
     covariance = inverse_of(normal)
     squares = np.einsum("ni,nij,nj->n", left, information, left) * weights
     excess = max(1.0, float(squares.sum()) / max(2.0 * float(weights.sum()), 1.0))
-    noise = covariance * found.overlap * excess  # windows share ground: their errors, too
+    noise = covariance * windows.overlap * excess  # windows share ground: their errors, too
     # a turn w of the earlier frame moves R P by w x R P
     turned = -cross_matrix(places @ turn.T)
     weighing = information * weights[:, None, None]
     by_turn = covariance @ np.einsum("nia,nij,njk,nkb->ab", by_shift, weighing, by_shift, turned)
     of_turn = by_turn @ by_turn.T * step.turn_sigma_rad**2
     scale = height.whole_sigma_m / height.height_m
-    whole = noise + of_turn + np.outer(shift, shift) * scale**2
+    total = noise + of_turn + np.outer(shift, shift) * scale**2
     back = turn.T / step.seconds
     # where the ship is now, less where it was: the shift, seen along the axes of now
-    return SideVelocity(back @ shift, back @ whole @ back.T)
+    return SideVelocity(back @ shift, back @ total @ back.T)
 
 
-def _through(
+def _resample_earlier(
     before: Float32Array, inverse: FloatArray, eye: Eye, turn: FloatArray, shift: FloatArray
 ) -> Float32Array:
-    """The earlier picture on the grid of the later one, over the ground and through a shift."""
+    """Resample the earlier picture on the grid of the later one, over the ground, by a shift."""
     rows, cols = inverse.shape
     x, y = np.meshgrid(np.arange(cols, dtype=np.float64), np.arange(rows, dtype=np.float64))
-    places = eye.place_m + eye.rays(np.stack([x, y], axis=-1)) / inverse[..., None]
-    return warped(before, eye.pixels(places @ turn.T + (shift - eye.place_m)))
+    places = eye.place_m + eye.unproject(np.stack([x, y], axis=-1)) / inverse[..., None]
+    return resample(before, eye.project(places @ turn.T + (shift - eye.place_m)))
 
 
-def _search(
+def _search_shift(
     before: Float32Array,
     now: tuple[Float32Array, StereoHeight],
     eye: Eye,
     turn: FloatArray,
     shift: FloatArray,
 ) -> FloatArray:
-    """What is to be added (3,) to a shift, by one large window in the middle of the picture."""
+    """Search for a correction (3,) of a shift, by one large window in the middle of the picture."""
     picture, height = now
-    through = _through(before, height.inverse_m, eye, turn, shift)
+    through = _resample_earlier(before, height.inverse_m, eye, turn, shift)
     seen = np.isfinite(through)
     if not seen.any():
         raise NoSolutionError("the pictures of both times share no ground", ReasonCode.FEW_POINTS)
@@ -137,8 +137,8 @@ def _search(
     best_row, best_column = np.unravel_index(int(np.argmax(scores)), scores.shape)
     peak = float(scores[best_row, best_column])
     y, x = np.mgrid[: scores.shape[0], : scores.shape[1]]
-    away = np.hypot(y - best_row, x - best_column) > RIVAL_PX
-    rival = float(scores[away].max(initial=-1.0))
+    outside_peak = np.hypot(y - best_row, x - best_column) > RIVAL_PX
+    rival = float(scores[outside_peak].max(initial=-1.0))
     if peak < MIN_PEAK or peak < MIN_LEAD * rival:
         raise NoSolutionError(
             f"the ground of the pair before is not found (correlation {peak:.2f}, the next "
@@ -148,16 +148,16 @@ def _search(
     moved = np.array([best_column + half - column, best_row + half - row], dtype=np.float64)
     middle = np.array([[float(column), float(row)]])
     inverse = float(height.inverse_m[row, column])
-    place = eye.place_m + eye.rays(middle) / inverse
-    _, by_vector = eye.seen(place - turn.T @ (eye.place_m - shift))
-    found: FloatArray = np.linalg.pinv(by_vector[0] @ turn.T) @ moved
-    return found
+    point = eye.place_m + eye.unproject(middle) / inverse
+    _, by_vector = eye.linearise_projection(point - turn.T @ (eye.place_m - shift))
+    change: FloatArray = np.linalg.pinv(by_vector[0] @ turn.T) @ moved
+    return change
 
 
-def _robust_shift(
+def _fit_robust_shift(
     by_shift: FloatArray, moved: FloatArray, information: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A change of the shift (3,) by windows, its normal matrix (3, 3), weights (n,)."""
+    """Fit a change of the shift (3,) to windows; its normal matrix (3, 3), weights (n,)."""
     weights = np.ones(len(moved))
     change, normal = np.zeros(3), np.eye(3)
     for _ in range(6):

@@ -33,9 +33,9 @@ from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import MATCHERS, FrameWorker, RunInputs
 from optnav_cli.outline import method as outline
 from optnav_cli.outline.neighbour import find_other_body
-from optnav_cli.output.canvas import eight_bits
-from optnav_cli.output.overlay import overlay_png
-from optnav_cli.output.recording import Recording, recorded_image
+from optnav_cli.output.canvas import scale_to_eight_bits
+from optnav_cli.output.overlay import encode_overlay
+from optnav_cli.output.recording import Recording, encode_recorded_image
 from optnav_cli.simulation.job import simulate_folder
 from tests.bench.timing import FULL, Spread, best, one_core, result, sized, spread, within
 from tests.studies.apollo import CUBE, PICTURE
@@ -171,10 +171,10 @@ def test_a_fisheye_frame_with_nothing_stated(shared_data, monkeypatch, tmp_path)
         return outline.navigate(loaded(), *view, worker.folder.body, relief, other)
 
     def drawn():
-        gray = eight_bits(picture.values)
-        overlay_png(gray, row, {})
+        gray = scale_to_eight_bits(picture.values)
+        encode_overlay(gray, row, {})
         with Recording(tmp_path / "run.mcap", worker.folder.body) as recording:
-            image, found = recorded_image(gray, camera), row.evidence
+            image, found = encode_recorded_image(gray, camera), row.evidence
             recording.add_frame(row, found.matches, camera, image, found.outline)
 
     calls = {

@@ -14,7 +14,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.cylinder.fit import fit_cylinder
 from optnav_cli.cylinder.geometry import CylinderSize
-from optnav_cli.cylinder.job import ideal_lens
+from optnav_cli.cylinder.job import remove_distortion
 from optnav_cli.cylinder.profile import measure_profile
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.points.method import PickedFrames
@@ -124,7 +124,7 @@ def test_a_picture_of_a_cylinder():
         light = draw_cylinder(camera, (0.14, 0.15), place, surface)
         picture = expose(light, SensorSettings(0.8, 90.0), rng).astype(np.float32)
         start = time.process_time()
-        fit_cylinder(measure_profile(picture, 255.0), ideal_lens(camera), size)
+        fit_cylinder(measure_profile(picture, 255.0), remove_distortion(camera), size)
         times.append(time.process_time() - start)
     result(
         "a picture of a lit cylinder, 640 × 480 px",

@@ -8,7 +8,7 @@ import pytest
 
 from optnav_cli.calibration.adjustment import adjust
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.stereo.height import stereo_height
+from optnav_cli.stereo.height import measure_height
 from tests.bench.timing import in_turn, result, sized, spread, within
 from tests.optnav_cli.stereo.pairs import DOWN, picture, rig
 from tests.studies.calibration_routes import Route, simulated_route
@@ -28,10 +28,10 @@ def test_a_stereo_height_against_one_box_filter_of_each_picture() -> None:
     seen = [
         picture(eye, 30.0, noise=0.5, seed=k) for k, eye in enumerate((pair.first, pair.second))
     ]
-    stereo_height(seen[0], seen[1], pair, DOWN)
+    measure_height(seen[0], seen[1], pair, DOWN)
     calls = {
         "filter": lambda: [cv2.boxFilter(one, cv2.CV_32F, (63, 63)) for one in seen],
-        "pair": lambda: stereo_height(seen[0], seen[1], pair, DOWN),
+        "pair": lambda: measure_height(seen[0], seen[1], pair, DOWN),
     }
     times = in_turn(calls, ROUNDS, time.process_time)
     ratio = spread(np.divide(times["pair"], np.maximum(times["filter"], 1e-6)))

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from optnav_cli.frames.tables import ATTITUDES, CYLINDER, CYLINDER_TRUTH
-from optnav_cli.output.canvas import resized, shrink_factor
+from optnav_cli.output.canvas import compute_shrink_factor, resize_picture
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.run_folder import read_run
 from tests.golden import sketch
@@ -32,7 +32,9 @@ def drawn(work: Path, readme: Path) -> Iterator[tuple[Path, str]]:
     if overlay is None:
         raise FileNotFoundError(f"{attitudes}: no overlay of {STAR_FRAME}")
     height, width = overlay.shape[:2]
-    small = resized(np.asarray(overlay, np.uint8), shrink_factor(width, height, STARS_PX))
+    small = resize_picture(
+        np.asarray(overlay, np.uint8), compute_shrink_factor(width, height, STARS_PX)
+    )
     sketch.write(small, readme / "stars.jpg")
     yield readme / "stars.jpg", _stars(attitudes)
     lamp, run = work / "lamp", work / "lamp-run"

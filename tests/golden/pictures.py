@@ -24,8 +24,8 @@ from optnav_cli.hazard.drawing import draw_overview
 from optnav_cli.hazard.ground_view import look_down
 from optnav_cli.hazard.hazard_map import map_hazard
 from optnav_cli.hazard.settings import HazardSettings
-from optnav_cli.output.canvas import eight_bits
-from optnav_cli.output.overlay import RESIDUALS_ENLARGED, draw_overlay, patch_outlines
+from optnav_cli.output.canvas import scale_to_eight_bits
+from optnav_cli.output.overlay import RESIDUALS_ENLARGED, draw_overlay, project_patches
 from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.report.body_sides import sides_picture
 from tests.golden import sketch
@@ -182,7 +182,7 @@ def _patch_outlines(
         for match in (m for m in run.matches if m.file == file and m.used):
             point = catalog.point(match.cp_id)
             half = (meta.size - 1) / 2.0 * meta.posting_m * 2.0**match.level
-            outlines[match.catalog, match.cp_id] = patch_outlines(
+            outlines[match.catalog, match.cp_id] = project_patches(
                 point.projection(meta.radius_m), point.radius_m - meta.radius_m, [half],
                 run.cameras[file], solution.position_m, solution.camera_from_body,
             )  # fmt: skip
@@ -197,7 +197,7 @@ def frame_overlay(
     solution = next(s for s in found.solutions if s.file == file)
     matches = [m for m in found.matches if m.file == file]
     outlines = _patch_outlines(found, file, catalog_path) if catalog_path else {}
-    gray = eight_bits(load_picture(pictures / file, found.cameras[file]).values)
+    gray = scale_to_eight_bits(load_picture(pictures / file, found.cameras[file]).values)
     caption = (
         f"{what}: {solution.n_used} of {solution.n_predicted} control points are used, residual "
         f"{solution.residual_rms_px:.2f} px. Pink: where the prior predicted them; rings: where "

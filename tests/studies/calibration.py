@@ -16,7 +16,7 @@ from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.store.reader import Catalog
 from optnav_cli.calibration.adjustment import Adjustment, adjust
-from optnav_cli.calibration.separability import not_told_apart
+from optnav_cli.calibration.separability import find_inseparable
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.evaluation.figures import figures_of, none_solved
@@ -230,7 +230,7 @@ def _accuracy(result: RouteResult) -> tuple[Cell, ...]:
         (number.kind, number.axis): float(sigma) * SHOWN[number.kind]
         for number, sigma in zip(numbers, adjustment.sigmas, strict=True)
     }
-    directions = not_told_apart(numbers, adjustment.covariance)
+    directions = find_inseparable(numbers, adjustment.covariance)
     words = "; ".join(" + ".join(d.labels) for d in directions).replace(" of unk", "") or "none"
     mounting = max(shown[Common.MOUNTING, axis] for axis in "xyz")
     return (

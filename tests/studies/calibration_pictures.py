@@ -13,7 +13,7 @@ from catalog.errors import NothingToDoError
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from optnav_cli.calibration.job import Calibration, calibrate_folder
-from optnav_cli.calibration.motion import frame_motions
+from optnav_cli.calibration.motion import estimate_frame_motions
 from optnav_cli.calibration.settings import CalibrateSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera, preset_camera
@@ -95,12 +95,12 @@ def _told(flown: Path, place: Path, told: Camera, truth: CommonState) -> None:
     real = {t.file: t.position_m for t in read_truth(flown / "truth.csv", folder.attitude)}
     mounting, late = truth.boresight(told.name), truth.clock_s(told.name)
     times = [frame.tdb_s or 0.0 for frame in folder.frames]
-    motions = frame_motions(times, [real[frame.file] for frame in folder.frames])
+    motions = estimate_frame_motions(times, [real[frame.file] for frame in folder.frames])
     frames = []
     for frame, motion in zip(folder.frames, motions, strict=True):
         if motion is None or frame.camera_from_body is None:
             raise ValueError(f"{frame.file} has no neighbours, or no attitude")
-        before, attitude, _, _ = motion.later(frame.position_m, frame.camera_from_body, -late)
+        before, attitude, _, _ = motion.propagate(frame.position_m, frame.camera_from_body, -late)
         if attitude is not None:
             # the scenario turns the camera; what is told is the ship, a mounting away from it
             stated = mounting.inv() * attitude

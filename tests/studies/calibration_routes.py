@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.calibration.adjustment import AdjustedFrame
-from optnav_cli.calibration.model import ground_covariances
-from optnav_cli.calibration.motion import frame_motions
+from optnav_cli.calibration.model import propagate_ground_errors
+from optnav_cli.calibration.motion import estimate_frame_motions
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.common import Common, CommonState, common_numbers
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
@@ -69,7 +69,7 @@ def simulated_route(route: Route, seed: int) -> tuple[list[AdjustedFrame], Commo
         ground = _control_points(route, orbit, times[-1] if len(times) else 0.0, height_km, rng)
         stated = [orbit.position_m(t) for t in times]
         stated = [place + rng.normal(0.0, route.position_sigma_m, 3) for place in stated]
-        motions = frame_motions([1e5 * number + t for t in times], stated)
+        motions = estimate_frame_motions([1e5 * number + t for t in times], stated)
         for time_s, place_m, motion in zip(times, stated, motions, strict=True):
             roll = rng.uniform(-np.pi, np.pi) if route.rolled else 0.0
             frame = _frame(route, orbit, float(time_s), roll, ground, truth, rng)
@@ -177,5 +177,5 @@ def _frame(
 def _with_ground_errors(frame: AdjustedFrame, sigma_m: float) -> AdjustedFrame:
     """The frame whose sightings' covariances hold the control points' own errors."""
     seen = frame.sightings
-    more = ground_covariances(frame.camera, frame.start, seen.points_body_m, sigma_m)
+    more = propagate_ground_errors(frame.camera, frame.start, seen.points_body_m, sigma_m)
     return replace(frame, sightings=replace(seen, covariances_px2=seen.covariances_px2 + more))

@@ -23,16 +23,16 @@ from optnav_cli.cylinder.fit import fit_cylinder
 from optnav_cli.cylinder.geometry import (
     CylinderErrorSizes,
     CylinderSize,
-    cylinder_sizes,
-    grazing_of,
-    lit_edges,
-    printed_distance_and_angle,
+    compute_grazing,
+    find_lit_edges,
+    load_error_sizes,
+    solve_printed_formulas,
 )
 from optnav_cli.cylinder.job import (
     CylinderRow,
-    cylinder_folder,
-    ideal_lens,
-    with_velocities,
+    add_velocities,
+    measure_cylinder_folder,
+    remove_distortion,
 )
 from optnav_cli.cylinder.profile import measure_profile
 from optnav_cli.frames.tables import CYLINDER_TRUTH
@@ -116,7 +116,7 @@ class Circle:
         rows, true_m_s = self.rows, self.true_m_s
         if alone:
             middles = range(1, len(rows) - 1)
-            rows = [with_velocities(rows[k - 1 : k + 2])[1] for k in middles]
+            rows = [add_velocities(rows[k - 1 : k + 2])[1] for k in middles]
             true_m_s = true_m_s[1:-1]
         errors, sigmas = [], []
         for row, true in zip(rows, true_m_s, strict=True):
@@ -168,7 +168,9 @@ def _trial(
         camera, (size.radius_m, size.height_m), (distance, bearing, theta), surface
     )
     counts = expose(drawn, sensor, rng)
-    fix = fit_cylinder(measure_profile(counts.astype(np.float32), 255.0), ideal_lens(camera), size)
+    fix = fit_cylinder(
+        measure_profile(counts.astype(np.float32), 255.0), remove_distortion(camera), size
+    )
     sigma = np.sqrt(np.diag(fix.covariance))
     off = math.degrees((fix.theta - theta + math.pi) % (2.0 * math.pi) - math.pi)
     place = fix.distance_m - distance, float(sigma[0])
@@ -199,12 +201,12 @@ def _other_cloth(rng: np.random.Generator) -> SurfaceSettings:
 
 def fitted_sizes(trials: FloatArray) -> CylinderErrorSizes:
     """The sizes under which the errors of trials (n, 7) are likeliest."""
-    grazing = np.array([grazing_of(math.radians(theta)) for theta in trials[:, 1]])
-    present = cylinder_sizes()
+    grazing = np.array([compute_grazing(math.radians(theta)) for theta in trials[:, 1]])
+    present = load_error_sizes()
     sizes: list[float] = []
     for place, unit in ((2, trials[:, 6]), (4, np.ones(len(trials)))):
         off, sigma = trials[:, place] / unit, trials[:, place + 1] / unit
-        known = np.array([present.variances(math.radians(t), 1.0) for t in trials[:, 1]])
+        known = np.array([present.compute_variances(math.radians(t), 1.0) for t in trials[:, 1]])
         # the picture's part: without the present sizes
         shipped = known[:, 0] if place == 2 else known[:, 1] * math.degrees(1.0) ** 2
         own = np.maximum(sigma**2 - shipped, 0.0)
@@ -248,7 +250,7 @@ def _circled(
     with tempfile.TemporaryDirectory() as folder:
         drawn, run_folder = Path(folder) / "pictures", Path(folder) / "run"
         simulate_folder(scenario.shortened(CIRCLE_PICTURES), drawn, SilentProgress(), workers=1)
-        rows = cylinder_folder(drawn, run_folder, "fit", progress)
+        rows = measure_cylinder_folder(drawn, run_folder, "fit", progress)
         truths = CYLINDER_TRUTH.rows(drawn / "truth.csv")
     true = [[truth.number(name) or 0.0 for name in ("vx_m_s", "vy_m_s")] for truth in truths]
     return Circle(rows, np.array(true))
@@ -267,9 +269,9 @@ def _formula() -> list[tuple[Cell, ...]]:
     """Formula (6) with the exact angles of the lit area, and theta by the exact geometry."""
     rows: list[tuple[Cell, ...]] = []
     for degrees in FORMULA_DEG:
-        left, right = lit_edges(math.radians(degrees), SIZE.radius_m, FORMULA_M)
+        left, right = find_lit_edges(math.radians(degrees), SIZE.radius_m, FORMULA_M)
         seen = SIZE.height_m / (FORMULA_M - SIZE.radius_m), right - left
-        _, theta = printed_distance_and_angle(*seen, SIZE)
+        _, theta = solve_printed_formulas(*seen, SIZE)
         limb = math.asin(SIZE.radius_m / FORMULA_M)
         beta = limb - (right - left)
         exact = 0.5 * math.pi + math.asin(FORMULA_M / SIZE.radius_m * math.sin(beta)) - beta

@@ -25,9 +25,9 @@ from optnav_cli.simulation.run import Simulation, truth_ground
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sensor import expose
 from optnav_cli.simulation.stereo_path import StereoScenario
-from optnav_cli.stereo.height import AREA_PX, StereoHeight, stereo_height
+from optnav_cli.stereo.height import AREA_PX, StereoHeight, measure_height
 from optnav_cli.stereo.rig import Eye, Rig
-from optnav_cli.stereo.velocity import SideVelocity, Step, side_velocity
+from optnav_cli.stereo.velocity import SideVelocity, Step, measure_velocity
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 
 HEIGHTS_M = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0, 1500.0)
@@ -91,7 +91,7 @@ class StereoTruth:
     def rig(self, off: Rotation) -> Rig:
         """The rig as stated, when the second camera is turned by `off` from it."""
         first, second = (
-            Eye.of(mount, camera)
+            Eye.mount_camera(mount, camera)
             for mount, camera in zip(self.scenario.mount, self.simulation.cameras, strict=True)
         )
         # pictures are drawn with the camera as mounted; what is stated is off the other way
@@ -169,9 +169,9 @@ def _measure(
     wanted = truth.height_m(exposures[0])
     result.pairs += 1
     try:
-        height = stereo_height(seen[0], seen[1], sure, truth.down(exposures[0]))
+        height = measure_height(seen[0], seen[1], sure, truth.down(exposures[0]))
         result.exact.append((height.height_m - wanted, height.sigma_m))
-        other = stereo_height(seen[0], seen[1], turned, truth.down(exposures[0]))
+        other = measure_height(seen[0], seen[1], turned, truth.down(exposures[0]))
         result.mounted.append((other.height_m - wanted, other.whole_sigma_m))
         result.of_mounting.append(other.sigma_mounting_m)
         if len(seen) > 2:
@@ -199,13 +199,13 @@ def _velocity(
     rig = truth.rig(Rotation.identity())
     sure = replace(rig, second=replace(rig.second, error_rad=0.0))
     down = truth.down(exposures[2])
-    now = stereo_height(seen[2], seen[3], sure, down)
+    now = measure_height(seen[2], seen[3], sure, down)
     mount = truth.scenario.mount[0]
     ships = [mount.turn * exposures[k].camera_from_body for k in (0, 2)]
     sigma = RATE_ARCSEC_S * ARCSEC * _seconds(exposures)
     off = Rotation.from_rotvec(sigma * np.random.default_rng([ATTITUDE, *own]).normal(size=3))
     step = Step(_seconds(exposures), off * ships[0] * ships[1].inv(), sigma, down)
-    return side_velocity((seen[0], before), (seen[2], now), sure.first, step)
+    return measure_velocity((seen[0], before), (seen[2], now), sure.first, step)
 
 
 COLUMNS = columns(

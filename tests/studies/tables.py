@@ -20,7 +20,7 @@ import catalog
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.files import starts_with, write_output
-from optnav_cli.output.wording import table_lines
+from optnav_cli.output.wording import align_table
 
 Cell = str | int | float | None
 
@@ -95,12 +95,12 @@ class StudyTable:
         shown = [[c.shown(cell) for c, cell in zip(self.columns, r)] for r in self.rows]
         if len(shown) == 1 and len(self.columns) > MAX_ACROSS:
             pairs = zip(self.columns, shown[0])
-            lines = table_lines([(c.title, f"{cell} {c.unit}") for c, cell in pairs], left=(0, 1))
+            lines = align_table([(c.title, f"{cell} {c.unit}") for c, cell in pairs], left=(0, 1))
         else:
             heads = [[c.title for c in self.columns], [c.unit for c in self.columns]]
             grid = [head for head in heads if any(head)] + shown
             words = {number for number, text in enumerate(self._is_text()) if text}
-            lines = table_lines(grid, left=words)
+            lines = align_table(grid, left=words)
         return "\n".join([self.title, *lines] if self.title else lines)
 
     def to_markdown(self) -> str:

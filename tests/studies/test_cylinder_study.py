@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from catalog.progress import SilentProgress
-from optnav_cli.cylinder.geometry import CylinderErrorSizes, cylinder_sizes, grazing_of
+from optnav_cli.cylinder.geometry import CylinderErrorSizes, compute_grazing, load_error_sizes
 from tests.studies import cylinder, cylinder_coding
 
 FIGURES = Path(cylinder.__file__).parent / "figures" / "cylinder.json"
@@ -45,11 +45,11 @@ def test_sizes_that_errors_were_drawn_with_are_found_again() -> None:
         theta_crescent_deg=0.0,
     )
     theta = rng.uniform(5.0, 145.0, 4000)
-    grazing = np.array([grazing_of(math.radians(t)) for t in theta])
+    grazing = np.array([compute_grazing(math.radians(t)) for t in theta])
     own_m, own_deg = np.full(4000, 1e-4), np.full(4000, 0.1)
     d_sigma = 1.5 * np.hypot(2e-4, 1e-3 * grazing)
     sigma = np.hypot(0.3, 1.5 * grazing)
-    shipped = np.array([cylinder_sizes().variances(math.radians(t), 1.5) for t in theta])
+    shipped = np.array([load_error_sizes().variances(math.radians(t), 1.5) for t in theta])
     table = np.stack(
         [
             np.zeros(4000),

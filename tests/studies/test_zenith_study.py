@@ -5,7 +5,7 @@ import pytest
 
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import SilentProgress
-from optnav_cli.stars.zenith_pair import SightPlace, navigation_stars, zenith_pair
+from optnav_cli.stars.zenith_pair import SightPlace, choose_zenith_pair, list_navigation_stars
 from tests.studies import zenith
 from tests.studies.zenith_flights import (
     SightErrors,
@@ -33,7 +33,7 @@ def test_the_craft_fly_the_orbits_of_the_table():
 def test_a_session_looks_at_a_star_near_the_pole_and_one_near_the_plane(flight):
     times = flight.sessions(0.0, 1.0, 60)
     sights = flight.sights(times, SightErrors(), np.random.default_rng(1))
-    assert len(navigation_stars()) == 21
+    assert len(list_navigation_stars()) == 21
     assert set(sights.names) <= {"Vega", "Fomalhaut", "Rigil Kentaurus", "Capella", "Spica"}
     assert len(sights) == 120
 
@@ -43,8 +43,8 @@ def test_no_star_is_looked_at_behind_the_body_or_near_the_sun():
     place = SightPlace(2e6 * up, 1.7374e6, np.array([0.0, 1.0, 0.0]), np.array([[2e6, 0.0, 4e8]]))
     stars = np.array([[-1.0, 0.0, 0.0], [0.1, 0.99, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], up])
     stars /= np.linalg.norm(stars, axis=1, keepdims=True)
-    assert place.visible(stars).tolist() == [False, False, False, True, False]
-    assert zenith_pair(place, np.array([0.0, 0.0, 1.0]), stars) == [3]
+    assert place.find_visible(stars).tolist() == [False, False, False, True, False]
+    assert choose_zenith_pair(place, np.array([0.0, 0.0, 1.0]), stars) == [3]
 
 
 def test_a_fit_of_a_revolution_is_good_to_its_sigma(flight):

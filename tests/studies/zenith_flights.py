@@ -20,7 +20,7 @@ from optnav_cli.orbit.fit.problem import Trajectory
 from optnav_cli.orbit.fit.settings import NoiseSettings, ParameterSettings
 from optnav_cli.orbit.fit.zenith import ZenithSights, zenith_distances
 from optnav_cli.orbit.fit.zenith_fit import ZenithFit, settled, zenith_problem
-from optnav_cli.stars.zenith_pair import SightPlace, navigation_stars, zenith_pair
+from optnav_cli.stars.zenith_pair import SightPlace, choose_zenith_pair, list_navigation_stars
 from tests.studies.orbit_flights import ephemeris_of, fly
 
 START_UTC = "2017-07-25T09:10:45Z"
@@ -104,7 +104,7 @@ class ZenithFlight:
 
     @cached_property
     def _stars(self) -> FloatArray:
-        return bright_stars().at(self.start_s)[navigation_stars()]
+        return bright_stars().at(self.start_s)[list_navigation_stars()]
 
     def pairs(self, times: FloatArray, states: FloatArray) -> IntArray:
         """(n, 2) which of the navigation stars are looked at; -1 where there is none."""
@@ -119,7 +119,7 @@ class ZenithFlight:
                 ephemeris.sun_inertial(time),
                 ephemeris.position_m("earth", time)[None],
             )
-            chosen = zenith_pair(place, np.cross(state[:3], state[3:]), self._stars)
+            chosen = choose_zenith_pair(place, np.cross(state[:3], state[3:]), self._stars)
             found[k : k + step, : len(chosen)] = chosen
         return found
 
@@ -140,7 +140,7 @@ class ZenithFlight:
         tilt = errors.vertical_arcsec * rng.normal(size=(len(times), 2))[session]
         tilt += errors.bias_arcsec * rng.normal(size=2)
         values = values + ARCSEC * (by_vertical * tilt).sum(axis=1)
-        names = tuple(bright_stars().label(int(navigation_stars()[k])) for k in used)
+        names = tuple(bright_stars().label(int(list_navigation_stars()[k])) for k in used)
         sigma = ARCSEC * np.hypot(errors.sensor_arcsec, errors.vertical_arcsec)
         sights = ZenithSights(
             times[session], directions, values, np.full(len(values), sigma), star_of, names

@@ -33,7 +33,7 @@ from optnav_cli.orbit.delivery.settings import (
 )
 from optnav_cli.orbit.qso.settings import FOLDER, moon_of
 from optnav_cli.output.manifest import write_manifest
-from optnav_cli.output.wording import table_lines
+from optnav_cli.output.wording import align_table
 
 STAGE = "orbit delivery"
 SHARE = 99.73  # percent of trials: 3 sigma of one normal number
@@ -196,4 +196,4 @@ def delivery_lines(result: DeliveryResult) -> list[str]:
     both = (
         f"{result.bound_m_s:.4g} m/s at most, {result.total_m_s:.4g} m/s in 99.73 % of the trials"
     )
-    return [f"all corrections: {both}", *table_lines(table, left=(0,))]
+    return [f"all corrections: {both}", *align_table(table, left=(0,))]

@@ -12,7 +12,7 @@ from catalog.tables import CsvRow
 from optnav_cli.frames.orbit_tables import DELIVERY_ARRIVALS, DELIVERY_BOXES, DELIVERY_STAGES
 from optnav_cli.orbit.delivery.settings import ARRIVALS_CSV, BOXES_CSV, STAGES_CSV
 from optnav_cli.output.manifest import read_manifest
-from optnav_cli.output.wording import json_text
+from optnav_cli.output.wording import format_json
 from optnav_cli.report import page as html
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis, span
@@ -53,7 +53,7 @@ def delivery_page(folder: Path) -> str:
         html.section("Result", html.tiles(tiles)),
         html.section("Arrival", html.figure(html.side_by_side("pair", pair), words, keys)),
         html.section("Corrections", dv, html.table(HEADER, [_cells(row) for row in rows])),
-        html.section("How it was made", html.listing(json_text(manifest))),
+        html.section("How it was made", html.listing(format_json(manifest))),
     ]
     return html.page(
         f"Delivery to {target.capitalize()}", "Bounds and trials of an arrival", sections

@@ -36,7 +36,7 @@ from optnav_cli.orbit.fit.folder import (
 )
 from optnav_cli.orbit.fit.predict import OrbitPath
 from optnav_cli.output.tables import read_solutions
-from optnav_cli.output.wording import json_text, length_unit, table_lines
+from optnav_cli.output.wording import align_table, choose_length_unit, format_json
 
 ERRORS_CSV = "orbit_errors.csv"
 SAME_ROW_S = 0.01
@@ -129,11 +129,11 @@ class OrbitEvaluation:
         if rows:
             table = [("prediction, h after the last fix", "unit", "error", "stated sigma", "NEES")]
             for row in rows:
-                unit = length_unit(max(row["error_m"], row["sigma_m"]))
+                unit = choose_length_unit(max(row["error_m"], row["sigma_m"]))
                 error, sigma = unit.text(row["error_m"]), unit.text(row["sigma_m"])
                 nees = f"{row['normalised_error_squared']:.2f}"
                 table.append((f"{row['hours']:.1f}", unit.name, error, sigma, nees))
-            lines += ["", *table_lines(table, left=(1,))]
+            lines += ["", *align_table(table, left=(1,))]
         return "\n".join(lines)
 
     def _velocity(self) -> tuple[list[float], float] | None:
@@ -275,7 +275,7 @@ def write_orbit_evaluation(found: OrbitEvaluation, folder: Path) -> None:
     with replacing_file(folder / ERRORS_CSV, starts_with(b"utc,hours,")) as path:
         ORBIT_ERRORS.write(path, _rows(found.orbit))
     with replacing_file(folder / EVALUATION_JSON, starts_with(b'{\n  "frames"')) as path:
-        path.write_text(json_text(found.summary()) + "\n", encoding="utf-8")
+        path.write_text(format_json(found.summary()) + "\n", encoding="utf-8")
 
 
 def _rows(orbit: OrbitErrors) -> Iterator[dict[str, object]]:

@@ -28,7 +28,7 @@ from optnav_cli.orbit.fit.picture_times import PictureTime, picture_times
 from optnav_cli.orbit.fit.predict import OrbitPath, Prediction
 from optnav_cli.orbit.fit.spk import SPK_BEGINNING, write_spk
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.output.wording import table_lines
+from optnav_cli.output.wording import align_table
 
 log = logging.getLogger(__name__)
 
@@ -96,7 +96,7 @@ def prediction_lines(path: OrbitPath, prediction: Prediction) -> list[str]:
         sigmas = np.sqrt(np.diag(axes @ rows.covariances[k][:3, :3] @ axes.T))
         place = f"{latitude:.4f}", f"{longitude:.4f}", f"{height_m / 1e3:.3f}"
         lines.append((utc_from_tdb_s(time, 3), *place, *(f"{s:.1f}" for s in sigmas)))
-    return table_lines(lines, left=(0,))
+    return align_table(lines, left=(0,))
 
 
 def write_orbit(orbit: StoredOrbit, rows: OrbitRows, output: Path, craft: int) -> None:

@@ -34,7 +34,7 @@ from optnav_cli.orbit.fit.oem import Oem, write_oem
 from optnav_cli.orbit.fit.settings import UNITS, OrbitFitSettings
 from optnav_cli.orbit.fit.unobserved import UNOBSERVED
 from optnav_cli.output.recording import Recording
-from optnav_cli.output.wording import length, table_lines
+from optnav_cli.output.wording import align_table, format_length
 
 LEFT_OUT = "disagrees with the orbit of the others"
 
@@ -206,7 +206,7 @@ def parameter_lines(fit: OrbitFit) -> list[str]:
             known = known or ("" if p.observed else "not observed")
             cells = (f"{value:.6g}", f"{sigma:.2g}", f"{p.prior_sigma:.2g}")
             table.append((f"{p.name} {unit}".strip(), whose, *cells, known))
-    return table_lines(table, left=(0, 1, 5))
+    return align_table(table, left=(0, 1, 5))
 
 
 def summary(fit: OrbitFit) -> list[str]:
@@ -220,8 +220,8 @@ def summary(fit: OrbitFit) -> list[str]:
     sigmas = np.sqrt(np.trace(fit.covariances[:, :3, :3], axis1=1, axis2=2) / 3.0)
     fixes = [np.sqrt(np.trace(fix.covariance_m2) / 3.0) for fix in fit.problem.fixes]
     lines.append(
-        f"median sigma an axis: {length(float(np.median(sigmas)))} of the orbit, "
-        f"{length(float(np.median(fixes)))} of a fix"
+        f"median sigma an axis: {format_length(float(np.median(sigmas)))} of the orbit, "
+        f"{format_length(float(np.median(fixes)))} of a fix"
     )
     lines += parameter_lines(fit)
     left_out = [

@@ -18,7 +18,7 @@ from optnav_cli.orbit.fit.folder import RESIDUALS, StoredOrbit, read_orbit, rnb_
 from optnav_cli.orbit.fit.settings import UNITS
 from optnav_cli.orbit.fit.zenith_output import ZENITH_RESIDUALS_CSV
 from optnav_cli.output.manifest import read_manifest
-from optnav_cli.output.wording import json_text, length
+from optnav_cli.output.wording import format_json, format_length
 from optnav_cli.report import page as html
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import HALF, NARROW, WIDE, Plot, PlotAxis, span
@@ -101,12 +101,12 @@ def orbit_page(folder: Path) -> str:
     first, last = (utc_from_tdb_s(float(orbit.rows.times[k]), 0) for k in (0, -1))
     numbers = [
         (f"{test.used} of {test.fixes}", f"{_measured(drawn)} used"),
-        (length(_middle_sigma(drawn)), "median sigma an axis"),
+        (format_length(_middle_sigma(drawn)), "median sigma an axis"),
         (f"{test.chi_square:.0f} of {test.degrees_of_freedom}", "chi-square"),
     ]
     if len(drawn.errors) and not drawn.ahead.all():
         rms = float(np.sqrt(np.mean(drawn.errors[~drawn.ahead] ** 2)))
-        numbers.append((length(rms), "error, rms an axis"))
+        numbers.append((format_length(rms), "error, rms an axis"))
     remarks = [html.paragraph(remark, "note") for remark in test.remarks]
     sections = [
         html.section("Result", html.tiles(numbers), *remarks),
@@ -115,7 +115,7 @@ def orbit_page(folder: Path) -> str:
         html.section("Covariances", _ellipses(drawn)),
         html.section("Parameters", _parameters(orbit)),
         html.section("Ground track", _track(drawn)),
-        html.section("How it was made", html.listing(json_text(read_manifest(folder)))),
+        html.section("How it was made", html.listing(format_json(read_manifest(folder)))),
     ]
     words = f"{orbit.body.name.capitalize()}, {first} to {last}"
     return html.page(f"An orbit through {_measured(drawn)}", words, sections)

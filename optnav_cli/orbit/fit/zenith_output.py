@@ -22,7 +22,7 @@ from optnav_cli.orbit.fit.oem import Oem, write_oem
 from optnav_cli.orbit.fit.output import disturbance_rows, orbit_file, parameter_lines
 from optnav_cli.orbit.fit.settings import OrbitFitSettings
 from optnav_cli.orbit.fit.zenith_fit import ZenithFit
-from optnav_cli.output.wording import length
+from optnav_cli.output.wording import format_length
 
 ZENITH_RESIDUALS_CSV = "zenith_residuals.csv"
 LEFT_OUT = "disagrees with the orbit of the others"
@@ -86,7 +86,7 @@ def zenith_summary(fit: ZenithFit) -> list[str]:
         f"{', '.join(sights.stars_used)} from {first} to {last}, {fit.steps} steps",
         f'chi-square {fit.chi_square:.0f} of {fit.degrees_of_freedom}, residuals {rms:.3g}" rms, '
         f'sigma {float(np.median(sights.sigmas_rad)) / ARCSEC:.3g}" in the middle',
-        f"median sigma an axis: {length(float(np.median(sigmas)))} of the orbit",
+        f"median sigma an axis: {format_length(float(np.median(sigmas)))} of the orbit",
         *parameter_lines(fit),
     ]
     out = np.flatnonzero(~used)

@@ -36,7 +36,7 @@ from optnav_cli.orbit.landing.trials import (
 )
 from optnav_cli.orbit.qso.settings import FOLDER, moon_of
 from optnav_cli.output.manifest import write_manifest
-from optnav_cli.output.wording import table_lines
+from optnav_cli.output.wording import align_table
 
 STAGE = "orbit landing"
 GROUNDS = 5  # wrong grounds that the trials take in turn
@@ -224,7 +224,7 @@ def landing_lines(result: LandingResult) -> list[str]:
         ("velocity across, m/s", *_two(column("side_m_s"))),
         ("velocity change of burns, m/s", *_two(column("dv_m_s"))),
     ]
-    return [*lines, f"{len(landed)} of {len(cells)} trials land", *table_lines(rows, left=(0,))]
+    return [*lines, f"{len(landed)} of {len(cells)} trials land", *align_table(rows, left=(0,))]
 
 
 def _two(values: FloatArray) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from catalog.tables import CsvRow
 from optnav_cli.frames.orbit_tables import LANDING, LANDING_IMPULSE, LANDING_PATH
 from optnav_cli.orbit.landing.settings import IMPULSE_CSV, LANDING_CSV, PATH_CSV
 from optnav_cli.output.manifest import read_manifest
-from optnav_cli.output.wording import json_text
+from optnav_cli.output.wording import format_json
 from optnav_cli.report import page as html
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis, span
@@ -58,7 +58,7 @@ def landing_page(folder: Path) -> str:
     sections += [
         html.section("Impulse", html.table(("step", "left to find, m/s"), impulse)),
         html.section("Trials", html.folded(f"{len(rows)} trials", table)),
-        html.section("How it was made", html.listing(json_text(manifest))),
+        html.section("How it was made", html.listing(format_json(manifest))),
     ]
     return html.page("Landing", f"{len(landed)} of {len(rows)} trials land", sections)
 

@@ -35,7 +35,7 @@ from optnav_cli.orbit.qso.settings import (
     start_times,
 )
 from optnav_cli.output.manifest import write_manifest
-from optnav_cli.output.wording import table_lines
+from optnav_cli.output.wording import align_table
 
 STAGE = "orbit qso"
 PATH_STEP_S = 600.0
@@ -227,4 +227,4 @@ def qso_lines(rows: list[QsoRow], mean_motion: float) -> list[str]:
         numbers = (row.orbit.spread_m / 1e3, row.orbit.ring_m / 1e3)
         shown = (*(f"{n:.2f}" for n in numbers), f"{rate:.3f}", f"{row.orbit.theory_rate:.3f}")
         table.append((*first, *shown, ""))
-    return table_lines(table, left=(7,))
+    return align_table(table, left=(7,))

@@ -13,7 +13,7 @@ from catalog.tables import CsvRow
 from optnav_cli.frames.orbit_tables import QSO, QSO_PASSES, QSO_PATHS
 from optnav_cli.orbit.qso.settings import PASSES_CSV, PATHS_CSV, QSO_CSV
 from optnav_cli.output.manifest import read_manifest
-from optnav_cli.output.wording import json_text
+from optnav_cli.output.wording import format_json
 from optnav_cli.report import page as html
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import HALF, Plot, PlotAxis, span
@@ -48,7 +48,7 @@ def qso_page(folder: Path) -> str:
         html.section("Rings", *_rings(found, paths, _moon(manifest))),
         html.section("Passes of the longitude", *_passes(folder, found)),
         html.section("Orbits", html.table(HEADER, [_cells(row) for row in rows])),
-        html.section("How it was made", html.listing(json_text(manifest))),
+        html.section("How it was made", html.listing(format_json(manifest))),
     ]
     words = f"{len(found)} orbits that pass one longitude always at the same distance"
     return html.page("Quasi-satellite orbits", words, sections)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 from catalog.jobs.workers import available_cores
-from optnav_cli.output.wording import account_lines
+from optnav_cli.output.wording import format_account
 from tests.bench.global_moon import builds, hillshade
 from tests.bench.global_moon.clock import Used
 from tests.bench.global_moon.place import MODEL_PPD, raster_path, size_of
@@ -114,7 +114,7 @@ class Bench:
             f"build at {ppd} px/deg, {WORKERS} workers of {available_cores()} cores: "
             f"{_seconds(made.used)}"
         )
-        for line in account_lines(made.account):
+        for line in format_account(made.account):
             print(f"  {line}")
         moon = made.whole_moon
         wanted = f" (wanted {BUILD_S / 60.0:.0f})" if raster == self.raster else ""

@@ -249,7 +249,7 @@ def test_a_frame_whose_matches_disagree_with_the_others_is_unsolved(tmp_path: Pa
     for kept in (2, 3):
         weights = np.array([1.0] * kept + [0.0] * (12 - kept))
         found = FrameResult(pose, np.eye(6), np.ones((12, 2)), weights)
-        outcome = adjusted_folder._outcome(before, found)
+        outcome = adjusted_folder._make_outcome(before, found)
         assert isinstance(outcome, Fix) == (kept == 3)
         assert outcome.evidence.n_used == kept
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import ARCSEC
-from optnav_cli.calibration.adjustment import AdjustedFrame, adjust, shared_errors_m2
+from optnav_cli.calibration.adjustment import AdjustedFrame, adjust, estimate_shared_errors
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.common import Common, CommonState, common_numbers
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
@@ -162,8 +162,8 @@ def test_a_focal_length_and_a_scale_are_not_told_apart_from_afar() -> None:
     )
     frames = [replace(frame, position_m=None, position_sigma_m=None) for frame in frames]
     found = adjust(frames, common.numbers)
-    assert found.not_separable()
-    assert {name for names in found.not_separable() for name in names} == {
+    assert found.find_inseparable()
+    assert {name for names in found.find_inseparable() for name in names} == {
         "the scale",
         "the focal length of narrow",
     }
@@ -172,7 +172,7 @@ def test_a_focal_length_and_a_scale_are_not_told_apart_from_afar() -> None:
         np.random.default_rng(7), frames=10, kinds=kinds, values=np.array([0.005, -0.003])
     )
     found = adjust(frames, common.numbers)
-    assert found.not_separable() == [("the scale", "the focal length of narrow")]
+    assert found.find_inseparable() == [("the scale", "the focal length of narrow")]
     product = found.common.values.sum()
     assert abs(product - 0.002) < 4.0 * np.sqrt(found.covariance.sum()) < 0.008
 
@@ -190,7 +190,7 @@ def test_a_wide_camera_near_by_tells_focal_length_from_scale() -> None:
         distance_m=4e3,
     )
     found = adjust(frames, common.numbers)
-    assert found.not_separable() == []
+    assert found.find_inseparable() == []
     assert (np.abs(found.common.values - values) < 4.0 * found.sigmas).all()
 
 
@@ -207,7 +207,7 @@ def test_what_a_run_states_beyond_the_scatter_stays_in_the_covariance() -> None:
     alone = replace(frame, start=found.pose)
     own = found.position_covariance_m2 / found.variance_factor
     along = found.pose.position_m / np.linalg.norm(found.pose.position_m)
-    shared = shared_errors_m2(alone, own + 250.0**2 * np.outer(along, along))
+    shared = estimate_shared_errors(alone, own + 250.0**2 * np.outer(along, along))
     assert np.sqrt(along @ shared @ along) == pytest.approx(250.0, rel=0.05)
     assert np.trace(shared) == pytest.approx(250.0**2, rel=0.1)
     # one frame with nothing else stated comes out as its run states it

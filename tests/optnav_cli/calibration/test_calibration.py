@@ -9,10 +9,10 @@ import pytest
 from catalog.errors import NothingToDoError
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.calibration import adjustment
-from optnav_cli.calibration.adjustment import AdjustedFrame, adjust, residuals_from
+from optnav_cli.calibration.adjustment import AdjustedFrame, adjust, compute_residuals
 from optnav_cli.calibration.job import check_points
-from optnav_cli.calibration.motion import frame_motions
-from optnav_cli.calibration.separability import not_told_apart, tied_pairs
+from optnav_cli.calibration.motion import estimate_frame_motions
+from optnav_cli.calibration.separability import find_inseparable, find_tied_pairs
 from optnav_cli.calibration.settings import CalibrateSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera
@@ -35,12 +35,12 @@ STEPS = {
 def test_changes_of_pixels_with_the_lens_are_those_of_differences(camera: Camera) -> None:
     frames, truth = simulated_route(replace(SHORT, camera=camera, frames=6), 3)
     frame = frames[2]
-    _, by_common, _ = adjustment._jacobians(frame, frame.start, truth)
+    _, by_common, _ = adjustment._compute_jacobians(frame, frame.start, truth)
     for k, number in enumerate(truth.numbers):
         step = np.zeros(len(truth.numbers))
         step[k] = STEPS[number.kind]
         ends = [
-            residuals_from(
+            compute_residuals(
                 frame, frame.start, CommonState(truth.numbers, truth.values + sign * step)
             )
             for sign in (1.0, -1.0)
@@ -52,13 +52,13 @@ def test_changes_of_pixels_with_the_lens_are_those_of_differences(camera: Camera
 def test_changes_of_statements_with_mounting_and_clock_are_those_of_differences() -> None:
     frames, truth = simulated_route(SHORT, 4)
     frame = frames[5]
-    rows = adjustment._statements(frame, frame.start, truth)
+    rows = adjustment._linearise_statements(frame, frame.start, truth)
     for k, number in enumerate(truth.numbers):
         step = np.zeros(len(truth.numbers))
         step[k] = STEPS[number.kind]
         for place, (_, columns, _, _) in enumerate(rows):
             ends = [
-                adjustment._statements(
+                adjustment._linearise_statements(
                     frame, frame.start, CommonState(truth.numbers, truth.values + sign * step)
                 )[place][2]
                 for sign in (1.0, -1.0)
@@ -76,12 +76,14 @@ def test_frames_eliminated_one_by_one_give_the_covariance_of_all_at_once() -> No
     normal[:count, :count] = np.diag([n.prior_sigma**-2 for n in truth.numbers])
     for place, (frame, result) in enumerate(zip(frames, found.frames, strict=True)):
         own = np.r_[np.arange(count), count + 6 * place + np.arange(6)]
-        by_pose, by_common, _ = adjustment._jacobians(frame, result.pose, found.common)
+        by_pose, by_common, _ = adjustment._compute_jacobians(frame, result.pose, found.common)
         both = np.concatenate([by_common, by_pose], axis=2)
         weighing = np.linalg.inv(frame.sightings.covariances_px2)
         weighing *= result.weights[:, None, None]
         normal[np.ix_(own, own)] += np.einsum("nia,nij,njb->ab", both, weighing, both)
-        for rows, columns, _, weight in adjustment._statements(frame, result.pose, found.common):
+        for rows, columns, _, weight in adjustment._linearise_statements(
+            frame, result.pose, found.common
+        ):
             both = np.concatenate([columns, rows], axis=1)
             normal[np.ix_(own, own)] += both.T @ weight @ both
     scale = 1.0 / np.sqrt(np.diag(normal))
@@ -107,8 +109,8 @@ def test_errors_are_as_the_covariance_says() -> None:
 def test_one_height_and_one_roll_do_not_tell_clock_centre_and_pitch_apart() -> None:
     frames, truth = simulated_route(Route(UNK, frames=30, points=40, spacing_s=10.0), 1)
     found = adjust(frames, truth.numbers, by_direction=True)
-    (direction,) = not_told_apart(truth.numbers, found.covariance)
-    words = direction.words()
+    (direction,) = find_inseparable(truth.numbers, found.covariance)
+    words = direction.describe()
     assert "the clock of unk" in words
     assert "the principal point of unk along y" in words
     assert "the mounting of unk about x" in words
@@ -118,8 +120,8 @@ def test_one_height_and_one_roll_do_not_tell_clock_centre_and_pitch_apart() -> N
 def test_a_varied_roll_tells_them_apart_and_states_what_a_pair_does_to_a_pixel() -> None:
     frames, truth = simulated_route(replace(SHORT, heights_km=(200.0,)), 1)
     found = adjust(frames, truth.numbers, by_direction=True)
-    assert not_told_apart(truth.numbers, found.covariance) == []
-    pairs = tied_pairs(truth.numbers, found.covariance, {"unk": UNK.focal_length_px})
+    assert find_inseparable(truth.numbers, found.covariance) == []
+    pairs = find_tied_pairs(truth.numbers, found.covariance, {"unk": UNK.focal_length_px})
     assert pairs
     for pair in pairs:
         centre = truth.numbers[pair.places[0]]
@@ -143,7 +145,9 @@ def test_the_motion_of_a_circular_orbit_comes_from_three_positions() -> None:
     times = np.arange(5) * 10.0
     angles = rate * times
     places = radius * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
-    for motion, angle in zip(frame_motions(list(times), list(places)), angles, strict=True):
+    for motion, angle in zip(
+        estimate_frame_motions(list(times), list(places)), angles, strict=True
+    ):
         assert motion is not None
         true = radius * rate * np.array([-np.sin(angle), np.cos(angle), 0.0])
         assert np.linalg.norm(motion.velocity_m_s - true) < 0.1
@@ -152,8 +156,8 @@ def test_the_motion_of_a_circular_orbit_comes_from_three_positions() -> None:
 
 def test_frames_without_two_neighbours_have_no_motion() -> None:
     places = [np.array([2e6, 1e3 * k, 0.0]) for k in range(4)]
-    assert frame_motions([0.0, 10.0, 500.0, 510.0], list(places)) == [None] * 4
-    assert frame_motions([0.0, 10.0], places[:2]) == [None] * 2
+    assert estimate_frame_motions([0.0, 10.0, 500.0, 510.0], list(places)) == [None] * 4
+    assert estimate_frame_motions([0.0, 10.0], places[:2]) == [None] * 2
 
 
 def few_points(frames: list[AdjustedFrame], count: int) -> list[AdjustedFrame]:

@@ -76,7 +76,7 @@ def test_it_agrees_with_opencv() -> None:
 
 def test_derivatives_are_those_of_differences() -> None:
     model = GridModel(view(TURNS[0]), 10.0, 0, 1)
-    _, pose = model.pose(450.0, np.array([162.0, 118.0]))
+    _, pose = model.solve_pose(450.0, np.array([162.0, 118.0]))
     state = np.array([np.log(450.0), 162.0, 118.0, -0.2, 0.05, *pose])
     jacobian = model.linearise(state).jacobian
     for k in range(state.size):

@@ -11,7 +11,7 @@ import pytest
 
 from catalog.control_point import SHADOW_AZIMUTHS
 from optnav_cli.main import run
-from optnav_cli.output.wording import json_text
+from optnav_cli.output.wording import format_json
 from tests.catalog.made_catalogs import World, make_world
 
 TABLES = Path(__file__).resolve().parents[3] / "optnav_cli" / "TABLES.md"
@@ -215,7 +215,7 @@ def test_evaluate_tells_of_a_run_without_a_solved_frame(
 
 
 def test_numbers_without_a_value_are_null_at_any_depth() -> None:
-    text = json_text(
+    text = format_json(
         {
             "a": [np.float32("nan"), np.array([1.5, np.inf]), {"b": float("-inf")}],
             "n": np.int64(3),
@@ -233,11 +233,11 @@ def test_numbers_without_a_value_are_null_at_any_depth() -> None:
 
 def test_a_document_can_be_printed_in_any_locale() -> None:
     name = "Höhe\udcff.tif"  # a name that is not UTF-8, as Python holds it
-    text = json_text({"path": Path(name)})
+    text = format_json({"path": Path(name)})
     assert text.isascii()
     assert json.loads(text)["path"] == name
 
 
 def test_what_has_no_place_in_a_document_is_a_bug() -> None:
     with pytest.raises(TypeError, match="no place in a document"):
-        json_text({"a": object()})
+        format_json({"a": object()})

@@ -11,14 +11,14 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.cylinder.fit import HeightModel, IdealLens, ProfileModel, fit_cylinder
 from optnav_cli.cylinder.geometry import (
     CylinderSize,
-    bearing_of,
-    half_width,
-    lit_edges,
-    printed_distance_and_angle,
-    psi_of,
-    surface_distance,
+    compute_bearing,
+    compute_half_width,
+    compute_psi,
+    compute_surface_distance,
+    find_lit_edges,
+    solve_printed_formulas,
 )
-from optnav_cli.cylinder.profile import measure_profile, printed_extent
+from optnav_cli.cylinder.profile import measure_printed_extent, measure_profile
 from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
@@ -41,21 +41,23 @@ def seen(distance: float, bearing: float, theta_deg: float, seed: int = 1) -> np
 
 
 def test_bearings_lead_back_to_places_of_the_surface() -> None:
-    widest = 0.5 * math.pi - half_width(RADIUS, 1.3)
+    widest = 0.5 * math.pi - compute_half_width(RADIUS, 1.3)
     psi = np.linspace(-widest, widest, 21)[1:-1]
-    assert psi_of(bearing_of(psi, RADIUS, 1.3), RADIUS, 1.3) == pytest.approx(psi, abs=1e-9)
+    assert compute_psi(compute_bearing(psi, RADIUS, 1.3), RADIUS, 1.3) == pytest.approx(
+        psi, abs=1e-9
+    )
 
 
 def test_the_limb_is_a_tangent() -> None:
-    limb = half_width(RADIUS, 1.3)
-    assert float(bearing_of(0.5 * math.pi - limb, RADIUS, 1.3)) == pytest.approx(limb)
+    limb = compute_half_width(RADIUS, 1.3)
+    assert float(compute_bearing(0.5 * math.pi - limb, RADIUS, 1.3)) == pytest.approx(limb)
 
 
 def test_the_printed_formula_gives_31_degrees_for_a_full_face() -> None:
     distance = 1.34
-    left, right = lit_edges(0.0, RADIUS, distance)
+    left, right = find_lit_edges(0.0, RADIUS, distance)
     height = HEIGHT / (distance - RADIUS)
-    d_m, theta = printed_distance_and_angle(height, right - left, SIZE)
+    d_m, theta = solve_printed_formulas(height, right - left, SIZE)
     assert d_m == pytest.approx(1.2)
     assert math.degrees(theta) == pytest.approx(31.4, abs=0.1)
 
@@ -64,14 +66,14 @@ def test_the_printed_formula_gives_31_degrees_for_a_full_face() -> None:
 def test_the_printed_formula_gives_what_exact_widths_make_of_it(
     theta: float, printed: float
 ) -> None:
-    left, right = lit_edges(math.radians(theta), RADIUS, 1.34)
-    _, found = printed_distance_and_angle(HEIGHT / 1.2, right - left, SIZE)
+    left, right = find_lit_edges(math.radians(theta), RADIUS, 1.34)
+    _, found = solve_printed_formulas(HEIGHT / 1.2, right - left, SIZE)
     assert math.degrees(found) == pytest.approx(printed, abs=0.1)
 
 
 def test_the_printed_formula_says_where_it_has_no_angle() -> None:
     with pytest.raises(NoSolutionError, match="has no angle"):
-        printed_distance_and_angle(HEIGHT / 1.2, 0.5, SIZE)
+        solve_printed_formulas(HEIGHT / 1.2, 0.5, SIZE)
 
 
 @pytest.mark.parametrize(
@@ -173,7 +175,7 @@ def test_a_picture_out_of_focus_is_refused() -> None:
 
 def test_the_printed_formulas_are_not_given_a_width_that_is_cut() -> None:
     with pytest.raises(NoSolutionError, match="has no width"):
-        printed_extent(measure_profile(seen(1.34, 0.17, 20.0), 255.0))
+        measure_printed_extent(measure_profile(seen(1.34, 0.17, 20.0), 255.0))
 
 
 def test_a_sphere_is_not_taken_for_a_cylinder() -> None:
@@ -197,8 +199,8 @@ def test_gloss_on_the_middle_of_the_strip_leaves_its_height_alone(gloss: float) 
         counts = expose(light, SensorSettings(0.8, 1000.0), np.random.default_rng(step))
         profile = measure_profile(counts.astype(np.float32), 255.0)
         bearing = np.arctan((profile.height_columns - LENS.centre_x_px) / LENS.focal_x_px)
-        psi = psi_of(bearing, RADIUS, distance)
-        depth = surface_distance(psi, RADIUS, distance) * np.cos(bearing)
+        psi = compute_psi(bearing, RADIUS, distance)
+        depth = compute_surface_distance(psi, RADIUS, distance) * np.cos(bearing)
         middle = np.abs(profile.height_columns - 230.0) < 25.0
         off.append((profile.heights - LENS.focal_y_px * HEIGHT / depth)[middle].mean())
     assert abs(float(np.mean(off))) < 0.025

@@ -13,8 +13,8 @@ import pytest
 from catalog.config import resource
 from catalog.errors import ConfigError, NothingToDoError
 from catalog.progress import SilentProgress
-from optnav_cli.cylinder.job import cylinder_folder
-from optnav_cli.cylinder.page import cylinder_sheet
+from optnav_cli.cylinder.job import measure_cylinder_folder
+from optnav_cli.cylinder.page import draw_cylinder_sheet
 from optnav_cli.frames.tables import CYLINDER, CYLINDER_TRUTH
 from optnav_cli.main import run
 from optnav_cli.pages import write_report
@@ -45,7 +45,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_circling_craft_is_followed(pictures: Path, tmp_path: Path) -> None:
-    cylinder_folder(pictures, tmp_path / "run", "fit", SilentProgress())
+    measure_cylinder_folder(pictures, tmp_path / "run", "fit", SilentProgress())
     rows = CYLINDER.rows(tmp_path / "run" / "cylinder.csv")
     truths = CYLINDER_TRUTH.rows(pictures / "truth.csv")
     assert len(rows) == 3
@@ -69,7 +69,7 @@ def test_pictures_of_one_time_have_no_speed_and_say_so(pictures: Path, tmp_path:
     time = lines[1].split(",")[1]
     same = [lines[0], *(",".join([(c := line.split(","))[0], time, *c[2:]]) for line in lines[1:])]
     (folder / "frames.csv").write_text("\n".join(same) + "\n", encoding="utf-8")
-    rows = cylinder_folder(folder, tmp_path / "run", "fit", SilentProgress())
+    rows = measure_cylinder_folder(folder, tmp_path / "run", "fit", SilentProgress())
     assert all(row.d_m is not None and row.velocity is None for row in rows)
     assert all("one time" in row.reason for row in rows)
 
@@ -81,7 +81,7 @@ def test_a_strip_cut_above_and_beside_has_no_distance(pictures: Path, tmp_path: 
     for place in sorted(folder.glob("*.png")):
         cv2.imwrite(str(place), seen(0.35, 0.0, 40.0).astype(np.uint8))
     with pytest.raises(NothingToDoError):
-        cylinder_folder(folder, tmp_path / "run", "fit", SilentProgress())
+        measure_cylinder_folder(folder, tmp_path / "run", "fit", SilentProgress())
     rows = CYLINDER.rows(tmp_path / "run" / "cylinder.csv")
     assert all(row["zone"] == "cut" for row in rows)
     assert all("neither its height nor its width" in row["reason"] for row in rows)
@@ -94,14 +94,14 @@ def test_zones_are_shaded_in_the_plots(tmp_path: Path) -> None:
         for number, (zone, theta) in enumerate((("ok", 20), ("full_face", 3), ("glare", 175)))
     ]
     CYLINDER.write(tmp_path / "cylinder.csv", rows)
-    drawn = cylinder_sheet(tmp_path, 0.14)
+    drawn = draw_cylinder_sheet(tmp_path, 0.14)
     for series in ("s3", "s4"):  # over time in two plots, about the axis in the third
         assert drawn.count(f'class="area {series} band"') == 3
     assert 'class="area s1 band"' not in drawn
 
 
 def test_the_printed_formulas_are_computed(pictures: Path, tmp_path: Path) -> None:
-    rows = cylinder_folder(pictures, tmp_path / "run", "printed", SilentProgress())
+    rows = measure_cylinder_folder(pictures, tmp_path / "run", "printed", SilentProgress())
     assert rows[0].theta_deg == pytest.approx(60.0, abs=5.0)
     assert rows[0].theta_sigma_deg is None
 
@@ -110,14 +110,14 @@ def test_a_height_is_asked_for(pictures: Path, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "run.toml").write_text('target = "cylinder"\nradius_m = 0.14\n')
     with pytest.raises(ConfigError, match="height_m"):
-        cylinder_folder(tmp_path / "folder", tmp_path / "run", "fit", SilentProgress())
+        measure_cylinder_folder(tmp_path / "folder", tmp_path / "run", "fit", SilentProgress())
 
 
 def test_a_folder_of_a_body_is_refused(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "run.toml").write_text('body = "moon"\nattitude = "camera_from_body"\n')
     with pytest.raises(ConfigError, match="names no target"):
-        cylinder_folder(tmp_path / "folder", tmp_path / "run", "fit", SilentProgress())
+        measure_cylinder_folder(tmp_path / "folder", tmp_path / "run", "fit", SilentProgress())
 
 
 def test_missing_pictures_are_rows_with_a_reason(pictures: Path, tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_missing_pictures_are_rows_with_a_reason(pictures: Path, tmp_path: Path)
     for name in ("run.toml", "frames.csv", "cameras/lab_20deg.toml"):
         (place / name).write_bytes((pictures / name).read_bytes())
     with pytest.raises(NothingToDoError, match="no picture gives a distance"):
-        cylinder_folder(place, tmp_path / "run", "fit", SilentProgress())
+        measure_cylinder_folder(place, tmp_path / "run", "fit", SilentProgress())
     rows = CYLINDER.rows(tmp_path / "run" / "cylinder.csv")
     assert all(row["status"] == "unsolved" and row["reason"] for row in rows)
     assert rows[0]["reason"].startswith("frame_0000.png: there is no such picture")
@@ -187,9 +187,9 @@ def test_linear_counts_of_an_unstated_coding_have_wider_sigmas(
     shutil.copytree(pictures, folder)
     (camera,) = (folder / "cameras").glob("*.toml")
     assert 'curve = "linear"' in camera.read_text()
-    cylinder_folder(folder, tmp_path / "stated", "fit", SilentProgress())
+    measure_cylinder_folder(folder, tmp_path / "stated", "fit", SilentProgress())
     camera.write_text(camera.read_text().replace('[coding]\ncurve = "linear"\n', ""))
-    cylinder_folder(folder, tmp_path / "out", "fit", SilentProgress())
+    measure_cylinder_folder(folder, tmp_path / "out", "fit", SilentProgress())
     assert_truth_within_sigmas(tmp_path / "out", pictures / "truth.csv")
     _, stated, _ = distance_errors(tmp_path / "stated", pictures / "truth.csv")
     _, wide, _ = distance_errors(tmp_path / "out", pictures / "truth.csv")
@@ -203,7 +203,7 @@ def test_colour_pictures_are_taken(pictures: Path, tmp_path: Path) -> None:
     for path in folder.glob("*.png"):
         grey = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[..., None]
         cv2.imwrite(str(path), np.rint(grey * np.array([0.7, 1.0, 0.85])).astype(np.uint8))
-    cylinder_folder(folder, tmp_path / "out", "fit", SilentProgress())
+    measure_cylinder_folder(folder, tmp_path / "out", "fit", SilentProgress())
     off, _, _ = distance_errors(tmp_path / "out", pictures / "truth.csv")
     assert len(off) == 3
     assert np.abs(off).max() < 1.5e-3

@@ -9,8 +9,8 @@ from optnav_cli.cylinder.fit import UNKNOWNS, CylinderFit
 from optnav_cli.cylinder.velocity import (
     CLOTH,
     CLOTH_SIGMAS,
-    series_places,
-    series_velocity,
+    compute_velocity,
+    place_series,
 )
 
 TURN = 0.4  # of theta, rad, by an error of the first lobe of gloss
@@ -46,8 +46,8 @@ def test_one_cloth_takes_out_of_speeds_what_pictures_alone_cannot_tell() -> None
     fits = flight(1)
     turns = np.array([fits[k + 2].theta - fits[k].theta for k in range(28)])
     off_alone = DISTANCE_M * np.abs(turns - 4.0 * RATE) / 4.0
-    places = series_places(fits)
-    speeds = [math.hypot(*series_velocity(places[k : k + 3], WEIGHTS)[:2]) for k in range(28)]
+    places = place_series(fits)
+    speeds = [math.hypot(*compute_velocity(places[k : k + 3], WEIGHTS)[:2]) for k in range(28)]
     # the chord of 4 s; what is left of the cloth's error turns all places alike
     chord = DISTANCE_M * math.sin(2.0 * RATE) / 2.0
     assert np.abs(np.array(speeds) - chord).max() < 1e-9 < 1e-3 < max(off_alone)
@@ -55,9 +55,9 @@ def test_one_cloth_takes_out_of_speeds_what_pictures_alone_cannot_tell() -> None
 
 def test_a_picture_of_another_cloth_leads_the_rest_hardly_astray() -> None:
     fits = flight(2)
-    alone = [place.position for place in series_places(fits)]
+    alone = [place.position for place in place_series(fits)]
     odd = fit_at(0.2, fits[0].state[CLOTH], 40.0 * 0.1 * CLOTH_SIGMAS)
-    mixed = [place.position for place in series_places([*fits, odd])]
+    mixed = [place.position for place in place_series([*fits, odd])]
     # a fair share of 31 would move them by 4 / 31 sigmas of the lobe: 0.014 m
     moved = np.linalg.norm(np.array(mixed[:30]) - alone, axis=1)
     assert moved.max() < 0.2 * DISTANCE_M * TURN * 4.0 * CLOTH_SIGMAS[-3] / 31.0
@@ -65,8 +65,8 @@ def test_a_picture_of_another_cloth_leads_the_rest_hardly_astray() -> None:
 
 def test_the_sigma_of_a_speed_is_that_of_noise_and_cloth() -> None:
     """The cloth's error is one for all, and turns with the axes; a picture's own errors add up."""
-    places = series_places(flight(3))
-    sigma = series_velocity(places[:3], WEIGHTS)[2]
+    places = place_series(flight(3))
+    sigma = compute_velocity(places[:3], WEIGHTS)[2]
     noise = [float(np.trace(place.noise)) for place in places[:3]]
     own = sum(weight**2 * one for weight, one in zip(WEIGHTS, noise, strict=True))
     lobe = 0.1 * CLOTH_SIGMAS[-3] * TURN * DISTANCE_M * 2.0 * math.sin(2.0 * RATE) / 4.0
@@ -75,4 +75,4 @@ def test_the_sigma_of_a_speed_is_that_of_noise_and_cloth() -> None:
 
 
 def test_no_pictures_have_no_places() -> None:
-    assert series_places([]) == []
+    assert place_series([]) == []

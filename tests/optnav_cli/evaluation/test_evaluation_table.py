@@ -7,7 +7,7 @@ import pytest
 
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.evaluation.table import format_table
-from optnav_cli.output.run_folder import read_run, run_lines
+from optnav_cli.output.run_folder import read_run, summarise_run
 from tests.optnav_cli.output.approach import write_approach
 
 
@@ -74,7 +74,7 @@ def test_a_lone_frame_has_a_dash_for_its_spread(tmp_path, make_run):
 def test_a_run_ends_with_its_methods_and_reasons(tmp_path, make_run):
     write_approach(tmp_path / "run", count=48)
     solutions = read_run(tmp_path / "run").solutions
-    first, header, *rows = run_lines(solutions)
+    first, header, *rows = summarise_run(solutions)
     solved = sum(s.solved for s in solutions)
     assert first == f"solved {solved} of 96 frames"
     names = ["brightness centre", "control points", "horizon", "horizon of a smooth body"]
@@ -84,6 +84,6 @@ def test_a_run_ends_with_its_methods_and_reasons(tmp_path, make_run):
     assert rows[4:] == ["unsolved, cut disc: 6", "unsolved, no limb: 2"]
     assert 96 - solved == 8
     make_run(tmp_path / "none", count=2, unsolved_from=0)
-    none = run_lines(read_run(tmp_path / "none").solutions)
+    none = summarise_run(read_run(tmp_path / "none").solutions)
     assert none == ["solved 0 of 2 frames", "unsolved, no solution: 2"]
-    assert run_lines([]) == ["solved 0 of 0 frames"]
+    assert summarise_run([]) == ["solved 0 of 0 frames"]

@@ -11,7 +11,7 @@ from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from catalog.geometry.projection import Stereographic
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks
-from optnav_cli.output.canvas import Canvas, eight_bits, text_width
+from optnav_cli.output.canvas import Canvas, measure_text, scale_to_eight_bits
 from optnav_cli.output.overlay import (
     DISC,
     FOUND,
@@ -22,9 +22,9 @@ from optnav_cli.output.overlay import (
     REJECTED,
     RESIDUAL,
     draw_overlay,
+    encode_overlay,
     overlay_path,
-    overlay_png,
-    patch_outlines,
+    project_patches,
 )
 from tests.optnav_cli.rows import solved, unsolved
 
@@ -114,7 +114,7 @@ def test_numbers_of_points_stand_beside_marks_and_never_over_each_other(monkeypa
     monkeypatch.setattr(
         Canvas,
         "text",
-        lambda _, words, x, y, __: boxes.append((words, x, y, x + text_width(words))),
+        lambda _, words, x, y, __: boxes.append((words, x, y, x + measure_text(words))),
     )
     places, _ = dense(60.0)
     labels = [box for box in boxes if box[0].isdigit()]
@@ -137,7 +137,7 @@ def test_a_long_reason_is_broken_into_lines(monkeypatch):
     reason = "; ".join(f"reason number {k} of many" for k in range(12))
     draw_overlay(np.zeros((600, 600), np.uint8), unsolved("a.png", "", reason), [])
     assert len(said) == 3
-    assert all(text_width(line) <= 580 for line in said)
+    assert all(measure_text(line) <= 580 for line in said)
     assert " ".join(said)[:60] == f"a.png: unsolved: {reason}"[:60]
 
 
@@ -184,7 +184,7 @@ def test_a_small_outline_is_shown_enlarged_away_from_it(centre):
     picture = np.zeros((1000, 1000), np.float32)
     disc = OutlineMarks.of_disc(np.array(centre))
     cv2.circle(picture, (int(centre[0]), int(centre[1])), 9, 200.0, -1)
-    image = draw_overlay(eight_bits(picture), unsolved("a.png", "", ""), [], marks=disc)
+    image = draw_overlay(scale_to_eight_bits(picture), unsolved("a.png", "", ""), [], marks=disc)
     assert near(image, centre[0] + 20, centre[1], DISC, 3) < 60
     left = 0 if centre[0] > 500 else 600
     top = 0 if centre[1] > 500 else 600
@@ -199,7 +199,7 @@ def test_a_small_disc_in_a_noisy_sky_is_stretched_by_its_own_light():
     picture = rng.normal(20.0, 1.5, (1000, 1000)).astype(np.float32)
     cv2.circle(picture, (500, 500), 15, 180.0, -1)
     picture[500:, 500:515] *= 0.5
-    shown = eight_bits(picture)
+    shown = scale_to_eight_bits(picture)
     # noise of 1.5 in a range of 160; stretched by percentiles it would fill all 255 levels
     assert np.ptp(np.percentile(shown[:400], [1.0, 99.0])) < 25
     assert shown[490, 500] == 255
@@ -208,7 +208,7 @@ def test_a_small_disc_in_a_noisy_sky_is_stretched_by_its_own_light():
 
 def test_a_line_tells_the_result_and_long_reasons_are_cut(tmp_path):
     picture = np.full((300, 300), 100.0, np.float32)
-    image = draw_overlay(eight_bits(picture), unsolved("a.png", "", "σ " * 400), [])
+    image = draw_overlay(scale_to_eight_bits(picture), unsolved("a.png", "", "σ " * 400), [])
     assert image.shape[1] == 300
     strip = image[300:]
     assert (strip[:, 290:] > 100).sum() == 0
@@ -229,7 +229,7 @@ def test_the_same_frame_gives_the_same_file_with_its_whole_name(tmp_path):
         n_predicted=1, n_matched=1, n_used=1, residual_rms_px=0.1,
         matches=(a_match(20, 30, (0, 0)),),
     )  # fmt: skip
-    drawn = [overlay_png(eight_bits(picture), solution) for _ in range(2)]
+    drawn = [encode_overlay(scale_to_eight_bits(picture), solution) for _ in range(2)]
     assert drawn[0] == drawn[1]
     assert overlay_path(tmp_path, "sub/a.tif") == tmp_path / "sub_a.tif.png"
     assert cv2.imdecode(np.frombuffer(drawn[0], np.uint8), cv2.IMREAD_COLOR).shape[1] == 300
@@ -241,7 +241,7 @@ def test_patch_outlines_are_squares_seen_from_above():
     axes = body_from_local(lat, lon)
     position = xyz_from_latlon(lat, lon, RADIUS_M + 200e3)
     nadir = Rotation.from_matrix(np.stack([axes[:, 0], -axes[:, 1], -axes[:, 2]]))
-    (outline,) = patch_outlines(
+    (outline,) = project_patches(
         Stereographic(lat, lon, RADIUS_M), 1000.0, [3776.0], camera, position, nadir
     )
     # Level ground 199 km below: half a side is 3776 m * f / 199 km, but for the body's curvature
@@ -256,12 +256,12 @@ def test_counts_are_stretched_by_a_table_as_other_numbers_are():
     counts = np.random.default_rng(4).gamma(2.0, 40.0, (80, 120)).astype(np.uint16)
     halves = counts.astype(np.float32)
     halves[0, 0] += 0.5  # no whole number: no table
-    assert (eight_bits(counts)[1:] == eight_bits(halves)[1:]).all()
+    assert (scale_to_eight_bits(counts)[1:] == scale_to_eight_bits(halves)[1:]).all()
 
 
 def test_infinite_brightness_is_drawn_white() -> None:
     counts = np.arange(256, dtype=np.float32).reshape(16, 16)
     counts[5, 5] = np.inf
-    shown = eight_bits(counts)
+    shown = scale_to_eight_bits(counts)
     assert shown[5, 5] == 255
     assert shown[0, 0] < shown[15, 14]

@@ -13,8 +13,13 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks
-from optnav_cli.output.canvas import eight_bits
-from optnav_cli.output.recording import MessageLog, Recording, nanoseconds, recorded_image
+from optnav_cli.output.canvas import scale_to_eight_bits
+from optnav_cli.output.recording import (
+    MessageLog,
+    Recording,
+    encode_recorded_image,
+    parse_nanoseconds,
+)
 from tests.optnav_cli.rows import solved, unsolved
 
 MOON = load_body("moon")
@@ -116,10 +121,12 @@ def recorded(tmp_path):
     path = tmp_path / "run.mcap"
     picture = np.arange(480 * 640, dtype=np.float32).reshape(480, 640)
     with Recording(path, MOON) as recording:
-        recording.add_frame(a_frame(), MATCHES, UNK, recorded_image(eight_bits(picture), UNK))
+        recording.add_frame(
+            a_frame(), MATCHES, UNK, encode_recorded_image(scale_to_eight_bits(picture), UNK)
+        )
         recording.add_frame(
             unsolved("b.png", "2023-08-17T05:24:10Z", "picture is black"), (), FISHEYE,
-            recorded_image(np.zeros((4096, 4096), np.uint8), FISHEYE),
+            encode_recorded_image(np.zeros((4096, 4096), np.uint8), FISHEYE),
         )  # fmt: skip
         recording.add_frame(unsolved("c.png", "yesterday", "time is not understood"))
     return read(path)
@@ -159,7 +166,7 @@ def test_a_camera_called_like_the_body_has_a_frame_of_its_own(tmp_path):
     camera = replace(UNK, name="moon")
     with Recording(tmp_path / "run.mcap", MOON) as recording:
         recording.add_frame(
-            a_frame(), (), camera, recorded_image(np.zeros((480, 640), np.uint8), UNK)
+            a_frame(), (), camera, encode_recorded_image(np.zeros((480, 640), np.uint8), UNK)
         )
     messages = read(tmp_path / "run.mcap")
     (transform,) = [c for s, _, _, c in messages if s.name == "foxglove.FrameTransform"]
@@ -278,7 +285,7 @@ def test_the_same_run_gives_the_same_bytes(tmp_path):
     for name in ("one", "other"):
         with Recording(tmp_path / name, MOON) as recording:
             recording.add_frame(
-                a_frame(), MATCHES, UNK, recorded_image(np.ones((480, 640), np.uint8), UNK)
+                a_frame(), MATCHES, UNK, encode_recorded_image(np.ones((480, 640), np.uint8), UNK)
             )
     assert (tmp_path / "one").read_bytes() == (tmp_path / "other").read_bytes()
 
@@ -301,7 +308,7 @@ def test_a_frame_that_cannot_be_written_leaves_nothing_and_the_next_ones_go_on(t
     with Recording(tmp_path / "run.mcap", MOON) as recording:
         with pytest.raises(ValueError, match="JSON"):
             recording.add_frame(
-                broken, MATCHES, UNK, recorded_image(np.ones((480, 640), np.uint8), UNK)
+                broken, MATCHES, UNK, encode_recorded_image(np.ones((480, 640), np.uint8), UNK)
             )
         recording.add_frame(a_frame("b.png"), MATCHES, UNK)
     lines = [c["file"] for s, _, _, c in read(tmp_path / "run.mcap") if s.name == "foxglove.Log"]
@@ -322,4 +329,4 @@ def test_a_frame_that_cannot_be_written_leaves_nothing_and_the_next_ones_go_on(t
     ],
 )
 def test_times_become_nanoseconds_since_1970(utc, expected):
-    assert nanoseconds(utc, 77) == expected
+    assert parse_nanoseconds(utc, 77) == expected

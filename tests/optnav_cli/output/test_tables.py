@@ -12,7 +12,7 @@ from catalog.errors import DataError
 from optnav_cli.fix import MatchRow
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.output.tables import (
-    fixed,
+    format_fixed,
     read_matches,
     read_solutions,
     write_matches,
@@ -246,7 +246,12 @@ def test_a_covariance_that_is_none_is_refused(tmp_path, moon):
 
 
 def test_a_tiny_negative_number_is_written_without_its_sign():
-    assert [fixed(v, 2) for v in (-0.001, -0.006, None, 0.0)] == ["0.00", "-0.01", "", "0.00"]
+    assert [format_fixed(v, 2) for v in (-0.001, -0.006, None, 0.0)] == [
+        "0.00",
+        "-0.01",
+        "",
+        "0.00",
+    ]
 
 
 def test_runs_written_before_reasons_had_codes_are_read(tmp_path, moon):

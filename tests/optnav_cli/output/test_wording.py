@@ -5,15 +5,15 @@ import pytest
 from catalog.control_point import Flag
 from catalog.jobs.usage import Account, Peak, StageAccount
 from optnav_cli.output.wording import (
-    account_lines,
-    amount,
-    angle,
-    duration,
-    length,
-    length_unit,
-    plural,
-    speed,
-    table_lines,
+    align_table,
+    choose_length_unit,
+    format_account,
+    format_angle,
+    format_bytes,
+    format_duration,
+    format_length,
+    format_plural,
+    format_speed,
 )
 
 
@@ -23,12 +23,12 @@ from optnav_cli.output.wording import (
      (7800, "2 h 10 min")],
 )  # fmt: skip
 def test_durations_are_written_in_the_largest_units(seconds: float, text: str) -> None:
-    assert duration(seconds) == text
+    assert format_duration(seconds) == text
 
 
 def test_a_slow_rate_is_written_as_time_a_unit() -> None:
-    assert speed(0.25, "frame") == "4.0 s a frame"
-    assert speed(12.34, "frame") == "12.3 frames/s"
+    assert format_speed(0.25, "frame") == "4.0 s a frame"
+    assert format_speed(12.34, "frame") == "12.3 frames/s"
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,7 @@ def test_a_slow_rate_is_written_as_time_a_unit() -> None:
      (999_960_000, "1.00 GB"), (1_040_000_000, "1.04 GB")],
 )  # fmt: skip
 def test_bytes_read_as_people_say_them(count: int, text: str) -> None:
-    assert amount(count) == text
+    assert format_bytes(count) == text
 
 
 @pytest.mark.parametrize(
@@ -48,32 +48,36 @@ def test_bytes_read_as_people_say_them(count: int, text: str) -> None:
      (float("inf"), "- m")],
 )  # fmt: skip
 def test_lengths_are_written_in_the_unit_of_their_size(metres: float, text: str) -> None:
-    assert length(metres) == text
+    assert format_length(metres) == text
 
 
 def test_what_rounds_to_zero_has_no_sign() -> None:
-    assert length_unit(500.0).text(-0.01) == "0.0"
-    assert length_unit(500.0).text(-0.01, "+") == "+0.0"
+    assert choose_length_unit(500.0).text(-0.01) == "0.0"
+    assert choose_length_unit(500.0).text(-0.01, "+") == "+0.0"
 
 
 def test_angles_are_degrees_where_they_are_large() -> None:
-    assert (angle(1e-5), angle(0.5)) == ('2.1"', "28.6 deg")
+    assert (format_angle(1e-5), format_angle(0.5)) == ('2.1"', "28.6 deg")
 
 
 def test_columns_of_a_table_never_run_together() -> None:
     rows = [("name", "a", "b"), ("x", "1" * 30, "-2"), ("a longer name", "", "3")]
-    assert table_lines(rows) == [
+    assert align_table(rows) == [
         "name           " + "a".rjust(30) + "   b",
         "x              " + "1" * 30 + "  -2",
         "a longer name  " + " " * 30 + "   3",
     ]
-    assert table_lines(rows, left=(2,))[0].endswith("a  b")
-    assert table_lines([]) == []
-    assert table_lines([("one",), ("one", "two")]) == ["one", "one  two"]
+    assert align_table(rows, left=(2,))[0].endswith("a  b")
+    assert align_table([]) == []
+    assert align_table([("one",), ("one", "two")]) == ["one", "one  two"]
 
 
 def test_a_symbol_of_a_unit_has_no_plural() -> None:
-    assert (plural("cell", 2), plural("cell", 1), plural("MB", 2)) == ("cells", "cell", "MB")
+    assert (format_plural("cell", 2), format_plural("cell", 1), format_plural("MB", 2)) == (
+        "cells",
+        "cell",
+        "MB",
+    )
 
 
 def test_an_account_lists_outcome_reasons_and_stages_in_even_columns() -> None:
@@ -88,7 +92,7 @@ def test_an_account_lists_outcome_reasons_and_stages_in_even_columns() -> None:
             2 * 10**9, 4 * 10**6,
         ),
     ]  # fmt: skip
-    assert account_lines(account) == [
+    assert format_account(account) == [
         "12 cells, 10 control points, 8 usable (80.0 %)",
         "without a point, for lack of ground: 2",
         "not usable: 2, for these reasons (a point can have several):",
@@ -105,6 +109,6 @@ def test_an_account_lists_outcome_reasons_and_stages_in_even_columns() -> None:
 def test_what_is_not_known_yet_is_not_told() -> None:
     account = Account("optnav", 1, cells=1)
     account.stages = [StageAccount("ingest", 1, read_bytes=None, written_bytes=None)]
-    lines = account_lines(account)
+    lines = format_account(account)
     assert lines[0] == "1 cell"
     assert len(lines) == 3

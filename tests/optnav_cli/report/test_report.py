@@ -18,8 +18,8 @@ from catalog.errors import DataError, OutputError
 from catalog.files import MADE_BY
 from optnav_cli.evaluation.files import evaluate_run, write_evaluation
 from optnav_cli.navigate.page import read_evaluation
-from optnav_cli.output.canvas import eight_bits
-from optnav_cli.output.overlay import overlay_path, overlay_png
+from optnav_cli.output.canvas import scale_to_eight_bits
+from optnav_cli.output.overlay import encode_overlay, overlay_path
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.pages import write_report
 from optnav_cli.reasons import ReasonCode
@@ -42,7 +42,9 @@ def run(tmp_path, make_run):
         tried = replace(solution.outcome, evidence=replace(solution.evidence, matches=rows))
         place = overlay_path(folder / "overlays", solution.file)
         place.parent.mkdir(exist_ok=True)
-        place.write_bytes(overlay_png(eight_bits(picture), replace(solution, outcome=tried)))
+        place.write_bytes(
+            encode_overlay(scale_to_eight_bits(picture), replace(solution, outcome=tried))
+        )
     return folder
 
 

@@ -18,7 +18,7 @@ from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.reasons import ReasonCode, longer
 from optnav_cli.stars.identify import StarIdentifier
-from optnav_cli.stars.sky import SkyView, star_sight
+from optnav_cli.stars.sky import SkyView, find_star_attitude
 from optnav_cli.stars.spots import StarSpots, find_spots
 from tests.optnav_cli.made_skies import (
     CAMERA,
@@ -161,7 +161,7 @@ def test_without_aberration_the_attitude_is_twenty_arc_seconds_off():
 def test_beside_the_lit_moon_stars_without_aberration_turn_the_moon_by_twenty_arc_seconds():
     """From 10 000 km that is a kilometre across the line of sight."""
     picture, moon = add_body(drawn_sky(ORION)), load_body("moon")
-    seen = star_sight(picture, None, CAMERA, SkyView(moon, utc_to_tdb_s(UTC)))
+    seen = find_star_attitude(picture, None, CAMERA, SkyView(moon, utc_to_tdb_s(UTC)))
     plain = StarIdentifier(CAMERA, bright_stars().at(utc_to_tdb_s(UTC)))
     wrong = plain.identify(find_spots(picture)).camera_from_sky
     ground = (0.0, 0.0, 1.0)  # of a sight along the boresight, inertial axes
@@ -178,8 +178,8 @@ def test_beside_the_lit_moon_stars_without_aberration_turn_the_moon_by_twenty_ar
 
 def test_a_sight_says_its_sigma_and_a_time_not_known_widens_it():
     picture, body = drawn_sky(ORION), load_body("earth")
-    known = star_sight(picture, None, CAMERA, SkyView(body, utc_to_tdb_s(UTC)))
-    unknown = star_sight(picture, None, CAMERA, SkyView(body, None))
+    known = find_star_attitude(picture, None, CAMERA, SkyView(body, utc_to_tdb_s(UTC)))
+    unknown = find_star_attitude(picture, None, CAMERA, SkyView(body, None))
     assert np.abs(errors_arcsec(known.camera_from_inertial, ORION)[:2]).max() < 12.0
     assert 1.0 < known.sigma_rad / ARCSEC < 6.0
     assert 10.0 < unknown.sigma_rad / ARCSEC < 20.0

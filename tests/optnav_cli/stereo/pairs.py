@@ -52,7 +52,7 @@ def picture(
     rows, cols = eye.camera.shape
     x, y = np.meshgrid(np.arange(cols, dtype=np.float64), np.arange(rows, dtype=np.float64))
     turn = (ground_from_ship or Rotation.identity()).as_matrix()
-    rays = eye.rays(np.stack([x, y], axis=-1)) @ turn.T
+    rays = eye.unproject(np.stack([x, y], axis=-1)) @ turn.T
     place = turn @ eye.place_m + (np.zeros(3) if at_m is None else at_m)
     # depth = height + slope . (x, y)
     normal = np.array([-slope[0], -slope[1], 1.0])

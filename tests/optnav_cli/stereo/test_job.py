@@ -21,7 +21,7 @@ from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.frames.tables import HEIGHTS
 from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.stereo.job import stereo_folder
+from optnav_cli.stereo.job import measure_stereo_folder
 from tests.optnav_cli.stereo.pairs import CAMERA, picture, rig
 
 LEFT = MountSettings(camera="left", position_m=(0.0, 0.0, 0.0))
@@ -67,7 +67,7 @@ def folder(
 
 def test_a_folder_of_pairs_becomes_heights_and_velocities(tmp_path: Path) -> None:
     pictures = folder(tmp_path / "pairs")
-    first, second = stereo_folder(pictures, tmp_path / "out", SilentProgress())
+    first, second = measure_stereo_folder(pictures, tmp_path / "out", SilentProgress())
     assert first.velocity is None
     assert first.height is not None
     assert first.height.height_m == pytest.approx(30.0, abs=4.0 * first.height.sigma_m)
@@ -83,7 +83,7 @@ def test_a_folder_of_pairs_becomes_heights_and_velocities(tmp_path: Path) -> Non
 def test_the_same_pairs_give_the_same_bytes(tmp_path: Path) -> None:
     pictures = folder(tmp_path / "pairs", times=((0.0, 0.0),))
     for name in ("a", "b"):
-        stereo_folder(pictures, tmp_path / name, SilentProgress())
+        measure_stereo_folder(pictures, tmp_path / name, SilentProgress())
     one, other = ((tmp_path / name / "heights.csv").read_bytes() for name in ("a", "b"))
     assert one == other
 
@@ -101,7 +101,7 @@ def test_a_mounted_camera_has_a_name_that_a_file_can_have(name: str) -> None:
 
 def test_pictures_of_different_times_are_rows_with_a_reason(tmp_path: Path) -> None:
     pictures = folder(tmp_path / "pairs", times=((0.0, 0.0), (1.0, 1.4)))
-    rows = stereo_folder(pictures, tmp_path / "out", SilentProgress())
+    rows = measure_stereo_folder(pictures, tmp_path / "out", SilentProgress())
     assert [row.height is not None for row in rows] == [True, False, False]
     assert "no picture of this time: the nearest" in rows[1].reason
     assert "0.4 s away" in rows[1].reason
@@ -109,7 +109,7 @@ def test_pictures_of_different_times_are_rows_with_a_reason(tmp_path: Path) -> N
 
 def test_without_attitudes_there_is_a_height_and_no_velocity(tmp_path: Path) -> None:
     pictures = folder(tmp_path / "pairs", attitude=False)
-    rows = stereo_folder(pictures, tmp_path / "out", SilentProgress())
+    rows = measure_stereo_folder(pictures, tmp_path / "out", SilentProgress())
     assert rows[1].height is not None
     assert rows[1].velocity is None
     assert "along the ship's z axis" in rows[1].reason
@@ -118,7 +118,7 @@ def test_without_attitudes_there_is_a_height_and_no_velocity(tmp_path: Path) -> 
 
 def test_two_pairs_of_one_time_give_no_velocity(tmp_path: Path) -> None:
     pictures = folder(tmp_path / "pairs", times=((0.0, 0.0), (0.0, 0.0)))
-    rows = stereo_folder(pictures, tmp_path / "out", SilentProgress())
+    rows = measure_stereo_folder(pictures, tmp_path / "out", SilentProgress())
     assert [row.height is not None for row in rows] == [True, True]
     assert rows[1].velocity is None
     assert rows[1].reason == "no velocity: the pair before is of the same time"
@@ -142,7 +142,7 @@ def test_mounts_that_are_no_pair_are_refused(
 ) -> None:
     pictures = folder(tmp_path / "pairs", times=((0.0, 0.0),), mounts=mounts)
     with pytest.raises(ConfigError, match=said):
-        stereo_folder(pictures, tmp_path / "out", SilentProgress())
+        measure_stereo_folder(pictures, tmp_path / "out", SilentProgress())
 
 
 def test_a_damaged_picture_is_a_row_with_its_reason_and_nothing_solved_is_said(
@@ -151,7 +151,7 @@ def test_a_damaged_picture_is_a_row_with_its_reason_and_nothing_solved_is_said(
     pictures = folder(tmp_path / "pairs", times=((0.0, 0.0),))
     (pictures / "0_right.png").write_bytes(b"")
     with pytest.raises(NothingToDoError, match="empty file"):
-        stereo_folder(pictures, tmp_path / "out", SilentProgress())
+        measure_stereo_folder(pictures, tmp_path / "out", SilentProgress())
     assert (tmp_path / "out" / "heights.csv").exists()
 
 
@@ -162,7 +162,7 @@ def test_a_drawn_pair_over_craters_is_measured_within_its_sigmas(tmp_path: Path)
     names = {"camera": type(scenario.camera)(str(tmp_path / "small.toml"))}
     few = msgspec.structs.replace(scenario.shortened(1), **names)
     simulate_folder(few, tmp_path / "pairs", SilentProgress())
-    rows = stereo_folder(tmp_path / "pairs", tmp_path / "out", SilentProgress())
+    rows = measure_stereo_folder(tmp_path / "pairs", tmp_path / "out", SilentProgress())
     height = rows[0].height
     assert height is not None
     # straight below stands the ground that the scenario puts 100 m under the ship
