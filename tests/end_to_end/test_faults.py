@@ -64,20 +64,28 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place / "pictures"
 
 
-def navigated(pictures: Path, run: Path) -> list[dict[str, str]]:
-    """Rows of solution.csv by the limb alone: the catalog's points lie elsewhere."""
+@pytest.fixture(scope="module")
+def catalog(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A catalog whose points lie elsewhere."""
     world = RoughWorld(seed=1, levels=5)
-    catalog = run.with_suffix(".gpkg")
+    catalog = tmp_path_factory.mktemp("catalog") / "rough.gpkg"
     meta = CatalogMeta("moon", 1737400.0, world.cell_deg, 5, world.nodes, 120.0, 0.5)
     write_points(catalog, meta, world.control_points[:9])
+    return catalog
+
+
+def navigated(pictures: Path, catalog: Path, run: Path) -> list[dict[str, str]]:
+    """Rows of solution.csv by the limb alone."""
     with suppress(NothingToDoError):  # the run is written, with the reasons
         navigate_folder(RunInputs(pictures, [catalog], relief=RELIEF), run, SilentProgress())
     with (run / "solution.csv").open(encoding="utf-8", newline="") as lines:
         return list(csv.DictReader(lines))
 
 
-def test_without_a_fault_all_are_solved_inside_five_sigmas(pictures: Path, tmp_path: Path) -> None:
-    rows = navigated(pictures, tmp_path / "run")
+def test_without_a_fault_all_are_solved_inside_five_sigmas(
+    pictures: Path, catalog: Path, tmp_path: Path
+) -> None:
+    rows = navigated(pictures, catalog, tmp_path / "run")
     assert [row["method"] for row in rows] == ["horizon", "horizon"]
     errors = evaluate_run(tmp_path / "run", pictures / "truth.csv").frames
     assert all(frame.nees is not None and frame.nees < 25.0 for frame in errors)
@@ -115,16 +123,20 @@ def test_a_prior_and_a_limb_that_exclude_each_other_are_no_position(
     assert (two.status, two.method, two.prior) == ("solved", "horizon", "")
 
 
-def test_a_focal_length_off_by_a_tenth_is_no_position(pictures: Path, tmp_path: Path) -> None:
+def test_a_focal_length_off_by_a_tenth_is_no_position(
+    pictures: Path, catalog: Path, tmp_path: Path
+) -> None:
     faulty = Path(shutil.copytree(pictures, tmp_path / "pictures"))
     camera = faulty / "cameras" / "wide.toml"
     camera.write_text(re.sub(r"focal_length_px = .*", "focal_length_px = 352.0", CAMERA))
-    rows = navigated(faulty, tmp_path / "run")
+    rows = navigated(faulty, catalog, tmp_path / "run")
     assert [row["status"] for row in rows] == ["unsolved", "unsolved"]
     assert all("it scatters by" in row["reason"] for row in rows)
 
 
-def test_a_clock_off_by_four_hours_is_no_position(pictures: Path, tmp_path: Path) -> None:
+def test_a_clock_off_by_four_hours_is_no_position(
+    pictures: Path, catalog: Path, tmp_path: Path
+) -> None:
     faulty = Path(shutil.copytree(pictures, tmp_path / "pictures"))
     folder = read_folder(faulty)
     frames = []
@@ -142,6 +154,6 @@ def test_a_clock_off_by_four_hours_is_no_position(pictures: Path, tmp_path: Path
             replace(frame, utc=utc, tdb_s=utc_to_tdb_s(utc), camera_from_body=turn)
         )  # fmt: skip
     write_folder(faulty, folder.settings, folder.cameras.values(), frames)
-    rows = navigated(faulty, tmp_path / "run")
+    rows = navigated(faulty, catalog, tmp_path / "run")
     assert [row["status"] for row in rows] == ["unsolved", "unsolved"]
     assert all("check attitude, time" in row["reason"] for row in rows)

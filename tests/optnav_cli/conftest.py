@@ -22,6 +22,8 @@ from tests.optnav_cli.made_runs import make_run  # noqa: F401, a fixture
 RADIUS_M = 1737400.0
 LAT, LON = np.radians(-43.0), np.radians(-11.0)
 CAMERA_FROM_LOCAL = np.diag([1.0, -1.0, -1.0])  # nadir, north at the picture's top
+LIGHTS = {}
+MAX_LIGHTS = 32  # of a megabyte each
 
 
 def pixel_grid(camera):
@@ -136,6 +138,26 @@ class RoughWorld:
 
     def picture(self, pose, sun_body, noise_seed=0, snr=50.0, bits=8):
         """What the camera takes: Hapke's law, cast shadows, blur, noise, whole counts."""
+        picture = self._light(pose, sun_body)
+        rng = np.random.default_rng(noise_seed)
+        picture = picture + rng.normal(size=picture.shape) * picture.mean() / snr
+        top = 2.0**bits - 1.0
+        scaled = picture / np.percentile(picture, 99.8) * 0.95 * top
+        return np.clip(np.rint(scaled), 0.0, top).astype(np.float32)
+
+    def _light(self, pose, sun_body):
+        """The picture before its noise; kept, as many tests draw another noise over it."""
+        turned = pose.camera_from_body.as_quat()
+        numbers = np.concatenate([pose.position_m, turned, sun_body]).tobytes()
+        key = id(self.heights), repr(self.camera), numbers
+        if key not in LIGHTS:
+            if len(LIGHTS) >= MAX_LIGHTS:
+                del LIGHTS[next(iter(LIGHTS))]
+            # with the ground, so that its id stays its own
+            LIGHTS[key] = self.heights, self._made_light(pose, sun_body)
+        return LIGHTS[key][1]
+
+    def _made_light(self, pose, sun_body):
         turn = self.projection.body_from_local
         foot = np.array([0.0, 0.0, RADIUS_M])
         camera_local = pose.position_m @ turn - foot
@@ -149,12 +171,7 @@ class RoughWorld:
         )
         col, row = self._nodes_of_pixels(pose)
         picture = cv2.remap(np.nan_to_num(radiance), col, row, cv2.INTER_LINEAR)
-        picture = cv2.GaussianBlur(picture, (0, 0), 0.7)
-        rng = np.random.default_rng(noise_seed)
-        picture = picture + rng.normal(size=picture.shape) * picture.mean() / snr
-        top = 2.0**bits - 1.0
-        scaled = picture / np.percentile(picture, 99.8) * 0.95 * top
-        return np.clip(np.rint(scaled), 0.0, top).astype(np.float32)
+        return cv2.GaussianBlur(picture, (0, 0), 0.7)
 
     def _nodes_of_pixels(self, pose):
         """Columns and rows of the ground's nodes that the pixels see: rays against the relief."""

@@ -151,6 +151,7 @@ def test_more_workers_and_another_run_give_the_same_content(folder, tmp_path) ->
 
 
 def test_finer_cells_have_as_many_levels_as_span_30_deg(folder, tmp_path) -> None:
+    shutil.copytree(folder / "phobos.gpkg.work", tmp_path / "work")  # the mesh, read already
     config = config_in(tmp_path, cell=4.0)
     run(config, work=tmp_path / "work", stages=("ingest",), workers=1, bbox=BBOX)
     record = msgspec.json.decode((tmp_path / "work" / "manifest.json").read_bytes())

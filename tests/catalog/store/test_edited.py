@@ -72,19 +72,23 @@ def edit_patch(path: Path, **columns: object) -> int:
 
 def use(path: Path, other: Path) -> None:
     """What people do with a catalog, each by itself; only our own errors may come."""
-
-    def opened(action: Callable[[Catalog], object]) -> None:
-        with suppress(OptnavError), Catalog.open(path) as catalog:
+    actions: tuple[Callable[[Catalog], object], ...] = (
+        lambda catalog: describe(catalog_document(catalog)),
+        lambda catalog: [describe_point(point_document(p)) for p in catalog.points()],
+        lambda catalog: [catalog.nearest(lat, 10.0) for lat in (-90.0, 3.0, 90.0)],
+        lambda catalog: [catalog.patches(int(number)) for number in catalog.ids],
+        lambda catalog: catalog.relief(),
+        lambda c: [draw_pyramid(c.pyramid(int(n)), c.meta.radius_m) for n in c.ids[:1]],
+        lambda c: [export_patch(c, int(n), 0, path.with_suffix(".ply")) for n in c.ids[:1]],
+        lambda catalog: export(catalog, path.with_suffix(".geojson")),
+    )
+    for action in actions:
+        try:
+            catalog = Catalog.open(path)
+        except OptnavError:
+            break  # nor does it open for the others
+        with suppress(OptnavError), catalog:
             action(catalog)
-
-    opened(lambda catalog: describe(catalog_document(catalog)))
-    opened(lambda catalog: [describe_point(point_document(p)) for p in catalog.points()])
-    opened(lambda catalog: [catalog.nearest(lat, 10.0) for lat in (-90.0, 3.0, 90.0)])
-    opened(lambda catalog: [catalog.patches(int(number)) for number in catalog.ids])
-    opened(lambda catalog: catalog.relief())
-    opened(lambda c: [draw_pyramid(c.pyramid(int(n)), c.meta.radius_m) for n in c.ids[:1]])
-    opened(lambda c: [export_patch(c, int(n), 0, path.with_suffix(".ply")) for n in c.ids[:1]])
-    opened(lambda catalog: export(catalog, path.with_suffix(".geojson")))
     with suppress(OptnavError):
         verify(path)
     with suppress(OptnavError):

@@ -1,6 +1,7 @@
 """Fixes along orbits about the Moon that another integrator flew, and run folders of them."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,12 @@ class Flight:
 
 def truth(times, height_m=100e3, kick_s=None, kick_m_s=(0.0, 0.0, 0.0)):
     """States (n, 6) by scipy's LSODA with the landed forces of degree 2."""
+    return _truth(tuple(map(float, times)), height_m, kick_s, tuple(kick_m_s)).copy()
+
+
+@cache
+def _truth(times, height_m, kick_s, kick_m_s):
+    times = np.array(times)
     radius = MOON.radius_m + height_m
     speed = np.sqrt(FORCES.gm / radius)
     state = np.array([radius, 0.0, 0.0, 0.0, 0.3 * speed, np.sqrt(1 - 0.09) * speed])
