@@ -64,7 +64,7 @@ class CorrectionTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RotationCorrection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, cache_hash=True):
-    """What a fit adds to a published series: a small turn, applied after it, in body axes.
+    """A fitted correction to a published rotation series: a small rotation after it, in body axes.
 
     years                        first and last Julian year of the fit; beyond them it is not used
     x_, y_, z_arcsec_by_century  polynomials of the three angles
@@ -79,7 +79,7 @@ class RotationCorrection(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     terms: tuple[CorrectionTerm, ...]
 
     def holds(self, tdb_s: float) -> bool:
-        """Whether a time, TDB s past J2000, lies in the years of the fit."""
+        """Return whether a time, TDB s past J2000, lies in the years of the fit."""
         return self.years[0] <= J2000_YEAR + tdb_s / JULIAN_YEAR_S <= self.years[1]
 
 
@@ -162,7 +162,7 @@ class SunOrbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SpiceNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How SPICE kernels name a body.
+    """The names of a body in SPICE kernels.
 
     naif           its numbers; the first whose orbit the kernels have is taken
     sun_seen_from  the same for the Sun's direction, where other bodies serve as well
@@ -178,7 +178,7 @@ class SpiceNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Atmosphere(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a body's air does to light: refractivity n - 1 at height 0, and its scale height."""
+    """The refracting air of a body: refractivity n - 1 at height 0, and its scale height."""
 
     refractivity: Annotated[float, msgspec.Meta(ge=0.0, le=0.01)]
     scale_height_m: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)]
@@ -211,34 +211,34 @@ class CatalogFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self == THE_SAME_FRAME
 
     def stated(self, places_m: FloatArray) -> FloatArray:
-        """Places (..., 3) of the catalog as they are stated."""
+        """Transform places (..., 3) from the catalog's frame to the stated one."""
         if self.is_same:
             return places_m
         placed: FloatArray = self.scale * self.stated_direction(places_m) + np.array(self.offset_m)
         return placed
 
     def catalog(self, places_m: FloatArray) -> FloatArray:
-        """Stated places (..., 3) as the catalog has them."""
+        """Transform places (..., 3) from the stated frame to the catalog's."""
         if self.is_same:
             return places_m
         placed: FloatArray = self.catalog_direction(places_m - np.array(self.offset_m)) / self.scale
         return placed
 
     def stated_direction(self, vectors: FloatArray) -> FloatArray:
-        """Vectors (..., 3) of the catalog as they are stated, of the same length."""
+        """Rotate vectors (..., 3) from the catalog's frame to the stated one."""
         return vectors if self.is_same else vectors @ self.stated_from_catalog.as_matrix().T
 
     def catalog_direction(self, vectors: FloatArray) -> FloatArray:
-        """Stated vectors (..., 3) as the catalog has them, of the same length."""
+        """Rotate vectors (..., 3) from the stated frame to the catalog's."""
         return vectors if self.is_same else vectors @ self.stated_from_catalog.as_matrix()
 
     def stated_covariance(self, covariance_m2: FloatArray) -> FloatArray:
-        """The covariance (3, 3) of a place of the catalog as that of the stated place."""
+        """Transform the covariance (3, 3) of a place from the catalog's frame to the stated one."""
         turned = self.stated_direction(self.stated_direction(covariance_m2).T)
         return turned * self.scale**2
 
     def catalog_covariance(self, covariance_m2: FloatArray) -> FloatArray:
-        """The covariance (3, 3) of a stated place as that of the catalog's."""
+        """Transform the covariance (3, 3) of a place from the stated frame to the catalog's."""
         turned = self.catalog_direction(self.catalog_direction(covariance_m2).T)
         return turned / self.scale**2
 

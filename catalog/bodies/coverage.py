@@ -1,4 +1,4 @@
-"""What loaded SPICE kernels cover, and why a question to them has no answer.
+"""Coverage of loaded SPICE kernels, and the reason where they have no data.
 
 Coverage is kept as windows, so that a gap inside a kernel is a gap. For a frame without data the
 chain of frames is followed (NAIF, "Frames Required Reading"): fixed frames (TK) to the one that
@@ -48,7 +48,7 @@ def read_windows(spice: ModuleType, kind: Literal["SPK", "PCK"]) -> dict[int, Wi
 
 
 def common_span(spans: Iterable[Span]) -> Span | None:
-    """What all spans share; None without spans."""
+    """Return the time that all spans share; None without spans."""
     listed = list(spans)
     if not listed:
         return None
@@ -61,7 +61,7 @@ def covers(windows: Windows, tdb_s: float) -> bool:
 
 
 def describe_windows(windows: Windows, tdb_s: float) -> str:
-    """What is covered, in words, and the gap that holds a time."""
+    """Describe the covered spans in words, and the gap that holds a time."""
     shown = windows
     if len(windows) > MAX_SPANS_SHOWN:  # those beside the time
         after = sum(last < tdb_s for _, last in windows)

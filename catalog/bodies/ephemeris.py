@@ -37,7 +37,7 @@ CENTURY_S = 36525.0 * DAY_S
 
 
 def mean_anomaly(orbit: LockedOrbit, tdb_s: ArrayLike) -> FloatArray:
-    """Of a moon in its orbit, rad, not brought to one turn, at times (...)."""
+    """Compute the mean anomaly of a moon, rad, not reduced to one turn, at times (...)."""
     century = np.asarray(tdb_s, dtype=np.float64) / CENTURY_S
     argument = np.array(orbit.mean_anomaly_deg_by_century)
     mean: FloatArray = np.radians(np.polynomial.polynomial.polyval(century, argument))
@@ -343,7 +343,7 @@ def naif_numbers(name: str) -> tuple[int, ...]:
 
 
 def motion_of(body: Body, kernels: Sequence[Path]) -> Ephemeris:
-    """By the kernels where any are named, else by theory. Raises DataError as SpiceMotion does."""
+    """Use the kernels where any are named, else theory. Raises DataError as SpiceEphemeris does."""
     return SpiceEphemeris(body, kernels) if kernels else AnalyticEphemeris(body)
 
 

@@ -144,7 +144,7 @@ class KernelSet:
         return np.asarray(km) * 1e3, 0.0 if correction == "NONE" else float(light_s)
 
     def qualities(self, number: int, tdb_s: float) -> tuple[Quality, Quality]:
-        """What the kernels call the orbit of a body at a time, and their attitudes."""
+        """Return the stated quality of a body's orbit at a time, and that of all attitudes."""
         with self._loaded() as spice:
             orbit = quality(spice, orbit_files(spice, number, tdb_s))
             return orbit, quality(spice, attitude_files(spice))
@@ -210,7 +210,7 @@ class KernelSet:
 
 
 def _stated_of_cameras(text: bytes) -> list[str]:
-    """What the text of a kernel states of cameras, as NAME = VALUE."""
+    """Extract the camera constants that a kernel's text states, as NAME = VALUE."""
     statements = []
     for data in _DATA.findall(text):
         for name, value in _INSTRUMENT.findall(data):

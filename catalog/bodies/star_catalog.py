@@ -212,7 +212,7 @@ class _Table:
             )
 
     def _labels(self) -> list[str]:
-        """What a star is called: its name, a number of a catalogue, or its row."""
+        """Label each star by its name, its number in a catalogue, or its row."""
         labels = [f"row {number}" for number in range(2, len(self.rows) + 2)]
         for column, prefix in (("source_id", "Gaia "), ("hip", "HIP "), ("name", "")):
             if column in self.header:

@@ -49,7 +49,7 @@ class BrightStars:
         return directions
 
     def label(self, number: int) -> str:
-        """What a star is called: its name, else its number in the catalogue."""
+        """Return the name of a star, else its number in the catalogue."""
         return self.names[number] or f"HIP {self.hip[number]}"
 
 

@@ -171,17 +171,17 @@ def _add_pairs(
 
 
 @bare_kernel
-def _mirrored(place: int, size: int) -> int:
-    """Place in a line of nodes that one beyond its ends stands for."""
+def _mirrored(node: int, size: int) -> int:
+    """Mirror a node beyond the ends of a line back into it."""
     if size == 1:
         return 0
-    while not 0 <= place < size:
-        place = -place if place < 0 else 2 * (size - 1) - place
-    return place
+    while not 0 <= node < size:
+        node = -node if node < 0 else 2 * (size - 1) - node
+    return node
 
 
 def _weight(valid: BoolArray, sigma_nodes: float) -> Float32Array:
-    """Gaussian-weighted share of the valid nodes about each node, but for a thousandth."""
+    """Compute the Gaussian-weighted fraction of valid neighbours of each node, at least 1e-3."""
     return np.maximum(_blurred(valid.astype(np.float32), sigma_nodes), np.float32(1e-3))
 
 
@@ -252,7 +252,7 @@ def correlated(template: Filtered, image: Filtered) -> Float32Array:
 
 
 def _scores(template: Filtered, image: Filtered) -> Float32Array:
-    """As `correlated`, at a third of the time where places are few; then to the rounding alone.
+    """Correlate as `correlated` does, to rounding, in a third of its time where places are few.
 
     Not in its place: catalogs' trials go by that, and their digests by its last bits.
     """
@@ -454,7 +454,7 @@ def _surface(
     parts = [_waves(grid, side) for grid in (has, part, part * part)]
 
     def sums(i: int, k: int) -> FloatArray:
-        """Of products of an image and a template at every place where the latter fits."""
+        """Sum products of an image and a template at every place where the latter fits."""
         both = cv2.mulSpectrums(images[i], parts[k], 0, conjB=True)
         flags = cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT
         # rows beyond those wanted are left out of the transform
@@ -489,7 +489,7 @@ def match_cut(
     margin_nodes: int,
     remainder: bool,
 ) -> Match:
-    """As `match_ncc`, or as `match_masked` where the search grid lacks nodes of the reference.
+    """Match by `match_ncc`, or by `match_masked` where the search grid lacks some of its nodes.
 
     image      of the search grid, `filtered`
     remainder  whether the covariance is that of `with_remainder_covariance`

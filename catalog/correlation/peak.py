@@ -152,7 +152,7 @@ NO_REMAINDER = Remainder(np.zeros(2), np.diag([np.inf, np.inf]))
 
 
 class Prior(NamedTuple):
-    """What is known of a pattern without the patch: its strength over the template's gain."""
+    """The prior of a pattern: its strength over the template's gain."""
 
     pattern: int
     mean: float
@@ -230,7 +230,7 @@ def weighted_fit(patterns: Float32Array, patch: Float32Array, nodes: int) -> Wei
 
 
 def plain_fit(patterns: Float32Array, patch: Float32Array) -> FloatArray | None:
-    """How strong patterns (k, n, n) are in a patch (n, n), (k,); None where one is nowhere."""
+    """Fit the amplitudes (k,) of patterns (k, n, n) in a patch (n, n); None if one is absent."""
     strengths = _strengths(np.ascontiguousarray(patterns), np.ascontiguousarray(patch))
     return strengths if np.isfinite(strengths).all() else None
 
@@ -362,7 +362,7 @@ def _smoothed(power: Float32Array) -> tuple[Float32Array, float]:
 
 @cache
 def _columns_meant(side: int) -> Float32Array:
-    """How many columns of a whole spectrum each of its half (side // 2 + 1,) stands for."""
+    """Count the columns of a full spectrum that each of a half one (side // 2 + 1,) stands for."""
     meant = np.full(side // 2 + 1, 2.0, np.float32)
     meant[0] = 1.0
     if side % 2 == 0:
@@ -382,7 +382,7 @@ def _lag_waves(side: int) -> Float32Array:
 
 @kernel
 def rest_of(patterns: Float32Array, patch: Float32Array, strengths: FloatArray) -> Float32Array:
-    """What patterns (k, n, m) of some strengths (k,) leave over of a patch (n, m)."""
+    """Subtract patterns (k, n, m) of some amplitudes (k,) from a patch (n, m)."""
     count, rows, cols = patterns.shape
     residual = patch.copy()
     for k in range(count):

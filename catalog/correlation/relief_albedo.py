@@ -86,7 +86,7 @@ def steepness_and_crests(heights: ArrayLike, posting_m: ArrayLike) -> tuple[Floa
 def relief_patterns(
     heights: Float32Array, posting_m: float, brightness: Float32Array
 ) -> Float32Array:
-    """How brightness changes by a unit of slope, and by one of slope change a km, (2, n, n).
+    """Compute the change of brightness by unit slope, and by unit slope change per km, (2, n, n).
 
     heights (n, n) m, brightness (n, n) as rendered. NaN where either is unknown.
     """
@@ -112,7 +112,7 @@ class ReliefMatch:
 
     @cached_property
     def _rests(self) -> list[Float32Array]:
-        """What is left of the patch without and with steepness and crests; [] where one is flat."""
+        """Residuals of the patch without and with steepness and crests; [] where one is flat."""
         rests = []
         for some in (self.laid[:PLAIN_PATTERNS], self.laid):
             fit = plain_fit(some, self.patch)

@@ -146,7 +146,7 @@ def half_pair_scores(
     pairs: Sequence[tuple[float, float]],
     margin_nodes: int,
 ) -> list[float]:
-    """As `pair_scores` from grids of half as many nodes a side; sides and margin are even.
+    """Score pairs as `pair_scores` does, from grids of half as many nodes a side; all sides even.
 
     A score is that of the top of parabolas through the best place and those beside it: the best
     place of so few may lie half a node, one of the whole grids, from the true one.
@@ -257,7 +257,7 @@ def _top_scores(sums: Float32Array, contrast: Float32Array, lengths: Float32Arra
 
 @kernel
 def _rise(before: float, middle: float, after: float) -> float:
-    """How far the top of a parabola through three values stands over the middle one."""
+    """Compute the height of the top of a parabola through three values over the middle one."""
     bend = before - 2.0 * middle + after
     return -0.125 * (after - before) ** 2 / bend if bend < 0.0 else 0.0
 

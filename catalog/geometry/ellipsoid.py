@@ -32,7 +32,7 @@ def surface_at(directions: ArrayLike, radii: ArrayLike) -> FloatArray:
 
 
 def height_above(points: ArrayLike, up: ArrayLike, radii: ArrayLike) -> FloatArray:
-    """How far (...) from points (..., 3) along a unit vector (3,) an ellipsoid's near side lies.
+    """Measure (...) from points (..., 3) along a unit vector (3,) to an ellipsoid's near side.
 
     NaN where the line along the vector misses the ellipsoid.
     """

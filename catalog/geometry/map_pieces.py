@@ -175,7 +175,7 @@ def _latitude(points: FloatArray) -> FloatArray:
 
 
 def _turn(lon_deg: FloatArray) -> FloatArray:
-    """How many turns longitudes (n,) lie east of -180 to 180 degrees."""
+    """Count the turns that longitudes (n,) lie east of -180 to 180 degrees."""
     return np.floor((lon_deg + 180.0) / 360.0)
 
 

@@ -68,7 +68,7 @@ def lunar_weight(cos_phase: float) -> float:
 
 @kernel
 def lunar_weight_of(g: float) -> float:
-    """The same by the phase, deg."""
+    """Compute the share L of the Lommel-Seeliger term from the phase, deg."""
     weight = 1.0 + g * (-0.019 + g * (0.242e-3 - 1.46e-6 * g))
     return weight if (weight > 0.0) & (g < 110.0) else 0.0
 

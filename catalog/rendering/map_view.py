@@ -82,7 +82,7 @@ def render_map_quickly(
     law: str = "hapke",
     outer: Outer | None = (),
 ) -> Float32Array:
-    """As `render_map` under a fixed view, with Hapke's law from a coarse table.
+    """Render as `render_map` does under a fixed view, with Hapke's law from a coarse table.
 
     On small grids several times faster, wrong by 5e-4 of the mean (rms) to 25 deg off nadir.
     """
@@ -103,7 +103,7 @@ def render_map_near(
     radius_m: float,
     outer: Outer | None = (),
 ) -> Float32Array:
-    """As `render_map` by Hapke's law for a near camera, in a fifth of the time.
+    """Render as `render_map` does by Hapke's law for a near camera, in a fifth of the time.
 
     By the lunar-Lambert law every node is seen from the camera itself. How Hapke's law differs from
     that by the slope is taken from the middle of the grid, and how it differs for level ground from
@@ -165,7 +165,7 @@ def render_levels(
 
 
 def _light(law: str, sun_local: ArrayLike, view_local: ArrayLike) -> Lighting:
-    """Seen from one direction. Raises ConfigError for an unknown law."""
+    """Make the lighting for a far camera. Raises ConfigError for an unknown law."""
     sun, view = (np.asarray(vector, dtype=np.float64) for vector in (sun_local, view_local))
     if sun.shape != (3,) or view.shape != (3,):
         sun, view = _unit(sun, "sun_local"), _unit(view, "view_local")  # which refuses it

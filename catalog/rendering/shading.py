@@ -42,7 +42,7 @@ class MapGrid(NamedTuple):
 
 
 class Lighting(NamedTuple):
-    """What is made of a grid, and by which light and law.
+    """The quantity to compute on a grid, with its light and law.
 
     made    LIMIT: the heights that ground must pass to see the Sun; LIT: 1 where it does, else 0;
             the brightness by TWO_TERMS: a share of Lommel-Seeliger's law, the rest Lambert's, which
@@ -228,7 +228,7 @@ def shade_nodes(
     light: Lighting,
     target: Float32Array,
 ) -> None:
-    """The same by FAR and NEAR: each node that is lit is evaluated."""
+    """Fill target by FAR or NEAR: each lit node is evaluated; arguments as `shade_two_terms`."""
     sun, camera = light.sun, light.camera
     vx, vy, vz, distance = camera[0], camera[1], camera[2], 1.0
     for k in range(rows.together):
@@ -269,7 +269,7 @@ def shade_near(
     light: Lighting,
     target: Float32Array,
 ) -> None:
-    """The same by NEAR_LUNAR, without branches: a third of the time of `shade_nodes`.
+    """Fill target by NEAR_LUNAR, without branches, in a third of the time of `shade_nodes`.
 
     To single precision; the phase of each node to 2e-8 rad.
     """

@@ -59,7 +59,7 @@ def lit_mask(
 def illuminated(
     grid: MapGrid, light: Lighting, outer: Outer | None = (), table_size: int = 0
 ) -> Float32Array:
-    """What `light` asks for, of every node of a grid (n, n) that the Sun reaches; else 0.
+    """Compute what `light` asks for at every node of a grid (n, n) that the Sun reaches; else 0.
 
     light       its vectors are east, north, up; the Sun's of unit length
     outer       as `lit_mask` takes it; None for no cast shadows
@@ -125,7 +125,7 @@ def illuminated_levels(
 
 
 def _in_sweep(light: Lighting, sweep: Sweep) -> Lighting:
-    """With vectors as the sweep counts rows and columns."""
+    """Swap the vectors' axes where the sweep swaps rows and columns."""
     if not sweep.swap:
         return light
     return light._replace(sun=_swapped(light.sun), camera=_swapped(light.camera))
@@ -138,7 +138,7 @@ def map_grid(heights: Float32Array, posting_m: float, radius_m: float) -> MapGri
 
 
 def _light(made: int, sun_local: ArrayLike) -> Lighting:
-    """For what needs no law."""
+    """Make the lighting of a quantity that needs no law."""
     sun = np.asarray(sun_local, dtype=np.float64)
     length = math.hypot(*sun.tolist())
     if not length > 0.0:

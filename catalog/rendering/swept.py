@@ -54,7 +54,7 @@ PAD = 16  # nodes between the rows of a strip, so that they do not share one pla
 
 
 class Sweep(NamedTuple):
-    """How a grid is swept under a Sun.
+    """The order in which a grid is swept under a Sun.
 
     swap    rows and columns change places: the sweep follows the columns
     flip_t  rows are swept against their order
@@ -73,7 +73,7 @@ class Sweep(NamedTuple):
 
 
 class ShadowField(NamedTuple):
-    """What terrain on coarser grids throws over a point, for one Sun; see `shadow.shadow_field`.
+    """Shadows of coarser grids over a point, for one Sun; see `shadow.shadow_field`.
 
     limits     (m, m)  height that ground must pass to see the Sun; (0, 0) when nothing throws
                shadows
@@ -221,7 +221,7 @@ def _make_rows(
     rows: Rows,
     target: Float32Array,
 ) -> None:
-    """What is wanted of some rows, which follow in the sweep those before them."""
+    """Compute the wanted quantity for rows that follow those already swept."""
     size = rows.u.size
     if sweep.casts:
         _cast_shadows(grid, sweep, outer, light.made, work, rows, target)
@@ -249,7 +249,7 @@ def _make_rows(
 
 @bare_kernel
 def _turn(heights: Float32Array, strip: Float32Array) -> None:
-    """Columns (n, k) as rows (k, n)."""
+    """Copy columns (n, k) into rows (k, n)."""
     size, count = heights.shape
     fours = size - size % 4
     # four at once: one store in place of four
@@ -279,7 +279,7 @@ def _sweep(
     numbers: FloatArray,
     out: Float32Array,
 ) -> None:
-    """As `sweep_grid`; numbers: all that is no array of two dimensions, in its order there."""
+    """Sweep as `sweep_grid` does; numbers: all its arguments but 2-D arrays, in its order."""
     grid = MapGrid(heights, numbers[0], numbers[1])
     swap, flip_t, flip_c, casts = numbers[2] > 0, numbers[3] > 0, numbers[4] > 0, numbers[5] > 0
     sweep = Sweep(swap, flip_t, flip_c, casts, numbers[6], numbers[7])
@@ -328,7 +328,7 @@ def _sweep_levels(
     limits: tuple[Float32Array, ...],
     pictures: tuple[Float32Array, ...],
 ) -> None:
-    """As `sweep_levels`; limits, of grids from the second on and an empty one, are filled."""
+    """Sweep as `sweep_levels` does; fill limits, of grids from the second on and an empty one."""
     for k in range(len(grids) - 1, -1, -1):
         numbers[0], numbers[8] = postings[k], postings[min(k + 1, postings.size - 1)]
         if k < len(pictures):
@@ -374,7 +374,7 @@ def _numbers(grid: MapGrid, sweep: Sweep, outer_m: float, light: Lighting) -> Fl
 
 
 def sweep_grid(grid: MapGrid, sweep: Sweep, outer: ShadowField, light: Lighting) -> Float32Array:
-    """What `light` asks for, of every node of a grid (n, n).
+    """Compute what `light` asks for at every node of a grid (n, n).
 
     With swap, vectors in `light` have x against rows and y against columns.
     """

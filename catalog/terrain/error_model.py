@@ -88,14 +88,14 @@ class ErrorSpectrum(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reference_slope: float = 0.085
 
     def factor(self, slope: ArrayLike) -> FloatArray:
-        """By how much the error on ground of an rms slope exceeds that of `rms_m`."""
+        """Compute the ratio of the error on ground of an rms slope to `rms_m`."""
         at = np.interp(np.asarray(slope, np.float64), self.slope, self.slope_rms_m)
         factors: FloatArray = at / np.interp(self.reference_slope, self.slope, self.slope_rms_m)
         return factors
 
 
 class TerrainLaws(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What `configs/models/terrain.toml` holds."""
+    """The content of `configs/models/terrain.toml`."""
 
     height: HeightLaw
     shift: ShiftLaw
@@ -106,7 +106,7 @@ class TerrainLaws(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class StatedError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How a config states the error of a terrain model: by a product's name, or by numbers.
+    """The error of a terrain model as a config states it: a product's name, or numbers.
 
     error_m        rms of means over 2 km on highland slopes
     resolution_km  the shortest wave that the model holds; without it two postings
@@ -117,7 +117,7 @@ class StatedError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     resolution_km: Positive | None = None
 
     def problem(self, of_mesh: bool) -> str:
-        """What is wrong with it, "" for nothing."""
+        """Return the fault of the statement, "" for none."""
         if self.product is not None and (self.error_m, self.resolution_km) != (None, None):
             return "has a product beside error_m or resolution_km; state one of the two"
         if self.error_m is None and self.resolution_km is not None:
@@ -131,7 +131,7 @@ class StatedError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TemplateSigma(NamedTuple):
-    """What a terrain model's error does to one template, 1 sigma, m.
+    """The error of one template that a terrain model's error causes, 1 sigma, m.
 
     shift_m   of its place along the ground, an axis
     height_m  of its mean height
@@ -178,7 +178,7 @@ class TerrainErrorModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
     @property
     def against_gld100(self) -> float:
-        """What frames leave over of this model, as a share of what they leave of GLD100.
+        """Expected residuals of frames on this model over those on GLD100.
 
         Relief that a model lacks counts as relief that it has wrongly: error and resolution are
         taken against those of GLD100 and added in squares.

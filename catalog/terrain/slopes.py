@@ -95,7 +95,7 @@ def slope_degrees(components: Float32Array) -> Float32Array:
 
 @dataclass
 class SlopeSummary:
-    """What slopes a terrain model has; shares are of the area that has a slope.
+    """The distribution of a terrain model's slopes; shares are of the area that has a slope.
 
     base_m   on which they were taken: that of the shortest one possible where it was shorter
     area_m2  that has a slope;  covered  its share of the raster
@@ -192,7 +192,7 @@ def dem_slopes(source: DemSource, base_m: float = BASE_M) -> Iterator[tuple[int,
 
 
 def summarize(source: DemSource, base_m: float = BASE_M) -> tuple[SlopeSummary, Float32Array]:
-    """What slopes a model has, and all of them (rows, cols), deg, NaN for none.
+    """Summarise the slopes of a model; also return all of them (rows, cols), deg, NaN for none.
 
     Raises NothingToDoError where no pixel has one: holes beside all heights.
     """

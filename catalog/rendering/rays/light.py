@@ -18,7 +18,7 @@ _FIRST_NODES = 1.0
 
 
 class Light(NamedTuple):
-    """What the brightness of ground depends on.
+    """The Sun, camera and surface that decide the brightness of ground.
 
     sun      (3,) unit vector, body frame
     camera   (3,) m, body frame

@@ -34,7 +34,7 @@ Reflectivity = Callable[[FloatArray, FloatArray], Float32Array]
 
 
 class Hits(NamedTuple):
-    """What the middles of a picture's pixels see, arrays (rows, cols).
+    """The first hits of rays through pixel centres, arrays (rows, cols).
 
     kind      SKY, FINE or WIDE
     distance  m

@@ -1,4 +1,4 @@
-"""What the header of a terrain model file says, with its possible errors: units, place, body.
+"""The header of a terrain model file, checked: units, georeference, body.
 
 And what makes metres above the reference sphere of its counts.
 """

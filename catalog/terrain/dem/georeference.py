@@ -191,12 +191,12 @@ def georeference(
 
 
 def georeference_through_proj(closed: Georeference) -> Georeference:
-    """The same raster with every point sent through PROJ (the reference of the closed forms)."""
+    """Return the georeference with every point sent through PROJ, which checks closed forms."""
     return replace(closed, kind=OTHER, parameters=())
 
 
 def _turn_in_x(crs: pyproj.CRS) -> float:
-    """How far x runs in a full turn of longitude, CRS units; 0 for other than plate carree maps."""
+    """Measure the x of a full turn of longitude, CRS units; 0 for other than plate carree maps."""
     unit = float(crs.axis_info[0].unit_conversion_factor)
     if crs.is_geographic:
         return 2.0 * np.pi / unit

@@ -1,4 +1,4 @@
-"""What the label of a map says that GDAL reads past: ISIS cubes, PDS3, VICAR and PDS4 labels.
+"""Map labels' entries that GDAL does not use: ISIS cubes, PDS3, VICAR and PDS4 labels.
 
 GDAL takes the projection, its sphere, scale, offset and one no-data value. It reads past the
 direction of longitudes of ISIS and PDS3 labels (it heeds that of PDS4), past the unit of a PDS3
@@ -37,7 +37,7 @@ Stated = dict[str, tuple[str, str]]  # value and unit by GROUP.KEYWORD
 
 @dataclass(frozen=True)
 class MapLabel:
-    """What a label says beside what GDAL takes from it.
+    """The entries of a label that GDAL does not use.
 
     longitude  direction in which longitudes count, where GDAL reads past it
     axes_m     equatorial and polar radius

@@ -353,7 +353,7 @@ class DemSource:
             yield self._dataset
 
     def reopen(self) -> "DemSource":
-        """The same source with a file handle of its own."""
+        """Return a copy of the source with its own file handle."""
         return DemSource(**{**self.__getstate__(), "_dataset": None})
 
     def close(self) -> None:

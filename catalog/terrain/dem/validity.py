@@ -23,7 +23,7 @@ LABELLED = ("ISIS3", "ISIS2", "PDS4")
 
 @dataclass(frozen=True)
 class Validity:
-    """How a band says which of its pixels have a value, beside its no-data value.
+    """The mask of a band's valid pixels, beside its no-data value.
 
     masked   GDAL has a mask of its own
     alpha    number of an alpha band that GDAL does not take for a mask; 0: none

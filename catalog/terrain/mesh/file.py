@@ -135,7 +135,7 @@ LIBRARY_ERRORS = (
 
 
 class _NoOtherFiles(trimesh.resolvers.Resolver):
-    """What trimesh asks for materials, textures and buffers outside of a mesh file: none are."""
+    """A resolver that refuses trimesh all files beside the mesh: materials, textures, buffers."""
 
     def __init__(self) -> None:
         pass

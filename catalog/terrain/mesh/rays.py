@@ -133,7 +133,7 @@ class MeshRays:
     def next_hits(
         self, origins_m: FloatArray, rays: FloatArray, beyond_m: FloatArray
     ) -> tuple[Int32Array, FloatArray]:
-        """As `first_hits`, from either side and beyond distances (n) m along the rays."""
+        """Find hits from either side, beyond distances (n) m along the rays; see `first_hits`."""
         faces = self._run(origins_m + beyond_m[:, None] * rays, rays, "INTERSECT")
         distance, cosine = np.empty(len(rays)), np.empty(len(rays))
         _places(self.corners, origins_m, rays, faces, distance, cosine)

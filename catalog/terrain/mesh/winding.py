@@ -1,4 +1,4 @@
-"""How triangles are connected: neighbours over edges, pieces, and which way faces are wound."""
+"""Connectivity of triangles: neighbours over edges, pieces, and the winding of faces."""
 
 from typing import NamedTuple
 
@@ -77,7 +77,7 @@ def _flood(other: IntArray, same: BoolArray, piece: IntArray, turned: BoolArray)
 
 
 def pieces_of(edges: Edges) -> tuple[int, IntArray, BoolArray]:
-    """How many pieces faces make (-1: one-sided), each face's, and which faces are to turn."""
+    """Count a surface's pieces (-1: one-sided); also each face's piece and which faces to turn."""
     piece = np.full(edges.other.size // 3, -1, dtype=np.int64)
     turned = np.zeros(piece.size, dtype=bool)
     return _flood(edges.other, edges.same, piece, turned), piece, turned
@@ -90,7 +90,7 @@ def volume_of(vertices: FloatArray, faces: IntArray) -> float:
 
 
 def turns_about(point: FloatArray, vertices: FloatArray, faces: IntArray) -> float:
-    """How often a closed surface goes round a point: 1 inside, 0 outside.
+    """Count the turns of a closed surface round a point: 1 inside, 0 outside.
 
     Source: van Oosterom & Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125: the solid angle of a
     triangle.

@@ -69,7 +69,7 @@ class LevelWindows:
             cols, self.most_halvings = -(-cols // 2), self.most_halvings + 1
 
     def halved(self, halvings: int) -> "LevelWindows":
-        """The same level with columns averaged 2^halvings at a time."""
+        """Return this level with columns averaged 2^halvings at a time."""
         if halvings not in self._halved:
             self._halved[halvings] = LevelWindows(
                 self.index, self.pyramid, self.level, self.cache, self, halvings
@@ -161,7 +161,7 @@ class LevelWindows:
 
 @kernel
 def halvings_for(wide: float, most: int) -> int:
-    """How often columns are halved under a footprint `wide` columns wide: 1.5 to 3 are left."""
+    """Count the halvings of columns under a footprint `wide` columns wide: 1.5 to 3 are left."""
     count = 0
     while wide >= 3.0 and count < most:
         wide, count = wide * 0.5, count + 1

@@ -45,7 +45,7 @@ WHOLE_BLOCK = 8  # pixels a side of the blocks that are known to be without hole
 
 
 class PyramidRecord(msgspec.Struct, frozen=True):
-    """What is known of a source after reading all of it; pyramid.json of an overview folder."""
+    """Facts about a source from reading all of it; pyramid.json of an overview folder."""
 
     format: int
     settings: DemSettings
@@ -64,7 +64,7 @@ class PyramidRecord(msgspec.Struct, frozen=True):
 
 @dataclass
 class _Statistics:
-    """What reading a source found.
+    """Statistics of a source's heights, gathered while it is read.
 
     hole_free  blocks of WHOLE_BLOCK pixels a side that have all their pixels
     sample     some of its heights
@@ -210,7 +210,7 @@ def _cascade(
 
 
 def _why_unwritten(folder: Path, error: RasterioError) -> str:
-    """What keeps the folder from taking more; GDAL's own words name a line of the file only."""
+    """Explain why the folder takes no more; GDAL's own words name a line of the file only."""
     try:
         with tempfile.TemporaryFile(dir=folder) as probe:
             probe.write(bytes(PROBE_BYTES))
@@ -274,7 +274,7 @@ def _create(source: DemSource, folder: Path, level: int) -> Any:
 
 
 def _predictor(dtype: str) -> int:
-    """Of packed tiles: one for floats would double the time of every later reading."""
+    """Choose the predictor of packed tiles: one for floats would double the time of each read."""
     return 1 if np.dtype(dtype).kind == "f" else 2
 
 

@@ -245,7 +245,7 @@ def _mean_of_what_is_there(
     down: int,
     along: int,
 ) -> float:
-    """The same mean over the samples that have a height; NaN where that is less than half."""
+    """Average the samples that have a height; NaN where that is less than half."""
     total, valid = 0.0, 0
     for r in range(down):
         at_row = row + ((r + 0.5) / down - 0.5) * rows_wide
@@ -347,7 +347,7 @@ def _along_rows(
 def _through(
     level: LevelWindows, rows_wide: float, extent: Extent, row0: int, col0: int
 ) -> tuple[Corner, Footprint]:
-    """How a window from (row0, col0) on lies in the raster, and the size of footprints in it."""
+    """Locate a window from (row0, col0) on in the raster; also the size of footprints in it."""
     period = level.period or np.inf
     return (
         Corner(1.0 / level.scale, 1.0 / (level.scale * level.squeeze), row0, col0),
@@ -443,7 +443,7 @@ def _extent(row: FloatArray, col: FloatArray, column_scale: FloatArray, chosen: 
 
 @kernel
 def _halvings(column_scale: FloatArray, rows_wide: float, most: int) -> Int8Array:
-    """How often columns are halved for each point."""
+    """Count the halvings of columns for each point."""
     out = np.empty(column_scale.size, np.int8)
     for i in range(column_scale.size):
         out[i] = halvings_for(column_scale[i] * rows_wide, most)

@@ -166,7 +166,7 @@ def _ground_cot(
 
 
 class _Segments(NamedTuple):
-    """What all azimuths share of the segments about the sphere's limb, rows from `first` on.
+    """Segments about the sphere's limb, shared by all azimuths, rows from `first` on.
 
     made     (n,)         whether a segment's row is filled in
     edges    (n, 3, 3)    angle, cosine and sine of its least, middle and greatest angle

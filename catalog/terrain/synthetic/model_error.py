@@ -127,7 +127,7 @@ class SlopeMap:
 
 @dataclass(frozen=True, eq=False)
 class ModelError:
-    """What to add to a model's heights for the ground that it is a model of.
+    """Heights to add to a model for the true ground.
 
     smallest_m  finest spacing of the noise: below it other relief begins
     slopes      of the ground; the same error everywhere without
