@@ -129,8 +129,8 @@ class ControlPoint:
     def tangent_plane(self, radii_m: tuple[float, float, float]) -> TangentPlane:
         """Return the plane of the patches: of the ground, or tangent to an ellipsoid."""
         if self.vertical_deg is None:
-            return TangentPlane.below(self.xyz_m, radii_m)
-        return TangentPlane.through(self.xyz_m, *np.radians(self.vertical_deg).tolist())
+            return TangentPlane.make_below(self.xyz_m, radii_m)
+        return TangentPlane.make_through(self.xyz_m, *np.radians(self.vertical_deg).tolist())
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ class RotationCorrection(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     z_arcsec_by_century: Polynomial
     terms: tuple[CorrectionTerm, ...]
 
-    def holds(self, tdb_s: float) -> bool:
+    def is_valid_at(self, tdb_s: float) -> bool:
         """Return whether a time, TDB s past J2000, lies in the years of the fit."""
         return self.years[0] <= J2000_YEAR + tdb_s / JULIAN_YEAR_S <= self.years[1]
 
@@ -156,7 +156,7 @@ class SunOrbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     perihelion_deg: Turn
     mean_anomaly_deg: Turn
 
-    def holds(self, tdb_s: float) -> bool:
+    def is_valid_at(self, tdb_s: float) -> bool:
         """Whether a time, TDB s past J2000, lies in the years of the elements."""
         return self.years[0] <= J2000_YEAR + tdb_s / JULIAN_YEAR_S <= self.years[1]
 
@@ -210,36 +210,36 @@ class CatalogFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Whether both frames are one."""
         return self == THE_SAME_FRAME
 
-    def stated(self, places_m: FloatArray) -> FloatArray:
+    def transform_to_stated(self, places_m: FloatArray) -> FloatArray:
         """Transform places (..., 3) from the catalog's frame to the stated one."""
         if self.is_same:
             return places_m
-        placed: FloatArray = self.scale * self.stated_direction(places_m) + np.array(self.offset_m)
+        placed: FloatArray = self.scale * self.rotate_to_stated(places_m) + np.array(self.offset_m)
         return placed
 
-    def catalog(self, places_m: FloatArray) -> FloatArray:
+    def transform_to_catalog(self, places_m: FloatArray) -> FloatArray:
         """Transform places (..., 3) from the stated frame to the catalog's."""
         if self.is_same:
             return places_m
-        placed: FloatArray = self.catalog_direction(places_m - np.array(self.offset_m)) / self.scale
+        placed: FloatArray = self.rotate_to_catalog(places_m - np.array(self.offset_m)) / self.scale
         return placed
 
-    def stated_direction(self, vectors: FloatArray) -> FloatArray:
+    def rotate_to_stated(self, vectors: FloatArray) -> FloatArray:
         """Rotate vectors (..., 3) from the catalog's frame to the stated one."""
         return vectors if self.is_same else vectors @ self.stated_from_catalog.as_matrix().T
 
-    def catalog_direction(self, vectors: FloatArray) -> FloatArray:
+    def rotate_to_catalog(self, vectors: FloatArray) -> FloatArray:
         """Rotate vectors (..., 3) from the stated frame to the catalog's."""
         return vectors if self.is_same else vectors @ self.stated_from_catalog.as_matrix()
 
-    def stated_covariance(self, covariance_m2: FloatArray) -> FloatArray:
+    def transform_covariance_to_stated(self, covariance_m2: FloatArray) -> FloatArray:
         """Transform the covariance (3, 3) of a place from the catalog's frame to the stated one."""
-        turned = self.stated_direction(self.stated_direction(covariance_m2).T)
+        turned = self.rotate_to_stated(self.rotate_to_stated(covariance_m2).T)
         return turned * self.scale**2
 
-    def catalog_covariance(self, covariance_m2: FloatArray) -> FloatArray:
+    def transform_covariance_to_catalog(self, covariance_m2: FloatArray) -> FloatArray:
         """Transform the covariance (3, 3) of a place from the stated frame to the catalog's."""
-        turned = self.catalog_direction(self.catalog_direction(covariance_m2).T)
+        turned = self.rotate_to_catalog(self.rotate_to_catalog(covariance_m2).T)
         return turned / self.scale**2
 
 
@@ -313,7 +313,7 @@ class Body:
         tdb_s  TDB seconds past J2000
         """
         fit = self.rotation_correction
-        return (fit if fit is not None and fit.holds(tdb_s) else self.rotation).error_m
+        return (fit if fit is not None and fit.is_valid_at(tdb_s) else self.rotation).error_m
 
 
 def load_body(name_or_path: str, beside: Path | None = None) -> Body:
@@ -326,11 +326,11 @@ def load_body(name_or_path: str, beside: Path | None = None) -> Body:
     """
     if is_body_file(name_or_path):
         return read_body((beside or Path()) / name_or_path)
-    return _shipped_body(name_or_path)
+    return _load_shipped_body(name_or_path)
 
 
 @cache
-def _shipped_body(name: str) -> Body:
+def _load_shipped_body(name: str) -> Body:
     """Read once: a file takes milliseconds, and all that comes near a body asks for it."""
     folder = resource("configs/bodies/moon.toml").parent
     known = sorted(path.stem for path in folder.glob("*.toml"))

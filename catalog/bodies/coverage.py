@@ -34,7 +34,7 @@ _MAX_INTERVALS = 100_000
 def read_windows(spice: ModuleType, kind: Literal["SPK", "PCK"]) -> dict[int, Windows]:
     """Windows of each body's orbit or of each binary rotation in the loaded kernels of a kind."""
     cells: dict[int, object] = {}
-    for path in _loaded(spice, kind):
+    for path in _list_loaded(spice, kind):
         numbers = spice.cell_int(_MAX_OBJECTS)
         try:
             (spice.spkobj if kind == "SPK" else spice.pckfrm)(path, numbers)
@@ -44,10 +44,10 @@ def read_windows(spice: ModuleType, kind: Literal["SPK", "PCK"]) -> dict[int, Wi
         except spice.exceptions.SpiceyError as error:
             text = getattr(error, "long", "") or str(error)
             raise DataError(f"{path}: SPICE cannot read it: {text}; fetch it again") from None
-    return {number: _spans(spice, cell) for number, cell in cells.items()}
+    return {number: _read_spans(spice, cell) for number, cell in cells.items()}
 
 
-def common_span(spans: Iterable[Span]) -> Span | None:
+def intersect_spans(spans: Iterable[Span]) -> Span | None:
     """Return the time that all spans share; None without spans."""
     listed = list(spans)
     if not listed:
@@ -55,7 +55,7 @@ def common_span(spans: Iterable[Span]) -> Span | None:
     return max(span[0] for span in listed), min(span[1] for span in listed)
 
 
-def covers(windows: Windows, tdb_s: float) -> bool:
+def is_covered(windows: Windows, tdb_s: float) -> bool:
     """Whether a time lies in one of the windows."""
     return any(first <= tdb_s <= last for first, last in windows)
 
@@ -66,12 +66,15 @@ def describe_windows(windows: Windows, tdb_s: float) -> str:
     if len(windows) > MAX_SPANS_SHOWN:  # those beside the time
         after = sum(last < tdb_s for _, last in windows)
         shown = windows[max(after - 1, 0) : after + 1]
-    text = "they cover " + " and ".join(f"{_utc(a)} to {_utc(b)}" for a, b in shown)
+    text = "they cover " + " and ".join(f"{_format_utc(a)} to {_format_utc(b)}" for a, b in shown)
     if len(shown) < len(windows):
-        text += f" of {len(windows)} spans from {_utc(windows[0][0])} to {_utc(windows[-1][1])}"
+        first, last = _format_utc(windows[0][0]), _format_utc(windows[-1][1])
+        text += f" of {len(windows)} spans from {first} to {last}"
     for (_, begin), (end, _) in itertools.pairwise(windows):
         if begin < tdb_s < end:
-            text += f"; the gap from {_utc(begin)} to {_utc(end)} holds the time asked"
+            text += (
+                f"; the gap from {_format_utc(begin)} to {_format_utc(end)} holds the time asked"
+            )
     return text
 
 
@@ -83,12 +86,12 @@ def explain_orbits(orbits: Mapping[int, Windows], numbers: Sequence[int], tdb_s:
     lacking = [str(number) for number in numbers if number not in orbits]
     if lacking:
         return f"none has the orbit of body {' or '.join(lacking)}", ADD
-    outside = [number for number in numbers if not covers(orbits[number], tdb_s)]
+    outside = [number for number in numbers if not is_covered(orbits[number], tdb_s)]
     if not outside:
         return "both are covered then, but no chain of centres joins them", (
             "add the orbit kernel (.bsp) of the planet or barycentre between them"
         )
-    if common := common_windows([orbits[number] for number in numbers]):
+    if common := intersect_windows([orbits[number] for number in numbers]):
         return describe_windows(common, tdb_s), REACH
     each = ", body ".join(
         f"{number}: {describe_windows(orbits[number], tdb_s)}" for number in numbers
@@ -96,7 +99,7 @@ def explain_orbits(orbits: Mapping[int, Windows], numbers: Sequence[int], tdb_s:
     return f"their orbits have no time in common; body {each}", REACH
 
 
-def common_windows(several: Sequence[Windows]) -> Windows:
+def intersect_windows(several: Sequence[Windows]) -> Windows:
     """Times that lie in a window of each list."""
     common = several[0]
     for windows in several[1:]:
@@ -114,12 +117,12 @@ def explain_frame(
     """
     for _ in range(MAX_FRAMES):
         number = spice.namfrm(frame)
-        class_, class_id = _class_of(spice, number)
+        class_, class_id = _find_class(spice, number)
         if class_ == 0:
             return f"none defines the frame {frame}", "add its frame kernel (.tf)"
         if class_ == TK_CLASS:
-            relative = _text(spice, f"TKFRAME_{class_id}_RELATIVE")
-            relative = relative or _text(spice, f"TKFRAME_{frame}_RELATIVE")
+            relative = _read_text(spice, f"TKFRAME_{class_id}_RELATIVE")
+            relative = relative or _read_text(spice, f"TKFRAME_{frame}_RELATIVE")
             if not relative:
                 return f"the frame {frame} is relative to nothing", "name its full frame kernel"
             frame = relative
@@ -128,7 +131,7 @@ def explain_frame(
             if missing is not None:
                 return missing
         elif class_ == PCK_CLASS and class_id in turns:
-            if not covers(turns[class_id], tdb_s):
+            if not is_covered(turns[class_id], tdb_s):
                 return describe_windows(turns[class_id], tdb_s), REACH
             return f"the rotation of {frame} is relative to a frame without data", ADD
         else:
@@ -140,7 +143,7 @@ def _explain_attitude(
     spice: ModuleType, frame: str, number: int, tdb_s: float
 ) -> tuple[Missing | None, str]:
     """Say why a CK frame has no attitude; else name the frame that its attitude is relative to."""
-    paths = [path for path in _loaded(spice, "CK") if number in spice.ckobj(path)]
+    paths = [path for path in _list_loaded(spice, "CK") if number in spice.ckobj(path)]
     if not paths:
         return (f"none has attitudes of {frame} (number {number})", "add its C-kernel (.bc)"), ""
     clock = spice.ckmeta(number, "SCLK")
@@ -149,31 +152,31 @@ def _explain_attitude(
         return (lacking, "add its clock kernel (SCLK, .tsc)"), ""
     if not _has(spice, "DELTET/K"):
         return ("none has leap seconds", "add their kernel (LSK, such as naif0012.tls)"), ""
-    windows = attitude_windows(spice, number)
-    if not covers(windows, tdb_s):
+    windows = read_attitude_windows(spice, number)
+    if not is_covered(windows, tdb_s):
         return (f"attitudes of {frame}: {describe_windows(windows, tdb_s)}", REACH), ""
-    below = next(_references(spice, paths[-1], number), 0)
+    below = next(_iterate_references(spice, paths[-1], number), 0)
     return None, str(spice.frmnam(below)) or str(below)
 
 
-def attitude_windows(spice: ModuleType, number: int) -> Windows:
+def read_attitude_windows(spice: ModuleType, number: int) -> Windows:
     """Windows, TDB s, of the attitudes of a CK number; needs its clock and leap seconds."""
     cell = spice.cell_double(2 * _MAX_INTERVALS)
-    for path in _loaded(spice, "CK"):
+    for path in _list_loaded(spice, "CK"):
         if number in spice.ckobj(path):
             spice.ckcov(path, number, False, "INTERVAL", 0.0, "TDB", cell)
-    return _spans(spice, cell)
+    return _read_spans(spice, cell)
 
 
-def quality(spice: ModuleType, paths: Iterable[str]) -> Quality:
+def judge_quality(spice: ModuleType, paths: Iterable[str]) -> Quality:
     """Whether the names and comments of kernels call them predicted or reconstructed; "" else."""
-    said = {_quality_of(spice, path) for path in paths}
+    said = {_read_quality(spice, path) for path in paths}
     if "predicted" in said:
         return "predicted"
     return "reconstructed" if said == {"reconstructed"} else ""
 
 
-def _quality_of(spice: ModuleType, path: str) -> Quality:
+def _read_quality(spice: ModuleType, path: str) -> Quality:
     text = Path(path).name
     handle = spice.dafopr(path)
     try:
@@ -189,24 +192,24 @@ def _quality_of(spice: ModuleType, path: str) -> Quality:
     return "predicted" if predicted else "reconstructed"
 
 
-def orbit_files(spice: ModuleType, number: int, tdb_s: float) -> list[str]:
+def find_orbit_files(spice: ModuleType, number: int, tdb_s: float) -> list[str]:
     """The last loaded kernel with the orbit of a body at a time, which wins; none without one."""
     paths = []
-    for path in _loaded(spice, "SPK"):
+    for path in _list_loaded(spice, "SPK"):
         if number in spice.spkobj(path):
             cell = spice.cell_double(2 * _MAX_INTERVALS)
             spice.spkcov(path, number, cell)
-            if covers(_spans(spice, cell), tdb_s):
+            if is_covered(_read_spans(spice, cell), tdb_s):
                 paths.append(path)
     return paths[-1:]
 
 
-def attitude_files(spice: ModuleType) -> list[str]:
+def list_attitude_files(spice: ModuleType) -> list[str]:
     """All loaded kernels of attitudes."""
-    return _loaded(spice, "CK")
+    return _list_loaded(spice, "CK")
 
 
-def _references(spice: ModuleType, path: str, number: int) -> Iterator[int]:
+def _iterate_references(spice: ModuleType, path: str, number: int) -> Iterator[int]:
     """Frames that the attitudes of a CK number in a file are relative to."""
     handle = spice.dafopr(path)
     try:
@@ -219,7 +222,7 @@ def _references(spice: ModuleType, path: str, number: int) -> Iterator[int]:
         spice.dafcls(handle)
 
 
-def _class_of(spice: ModuleType, number: int) -> tuple[int, int]:
+def _find_class(spice: ModuleType, number: int) -> tuple[int, int]:
     """Class of a frame and its number in the class; zeros for a frame that is not defined."""
     try:
         _, class_, class_id = spice.frinfo(number)
@@ -228,7 +231,7 @@ def _class_of(spice: ModuleType, number: int) -> tuple[int, int]:
     return int(class_), int(class_id)
 
 
-def _text(spice: ModuleType, variable: str) -> str:
+def _read_text(spice: ModuleType, variable: str) -> str:
     try:
         return str(spice.gcpool(variable, 0, 1)[0])
     except (spice.exceptions.SpiceyError, IndexError):
@@ -243,14 +246,14 @@ def _has(spice: ModuleType, variable: str) -> bool:
     return True
 
 
-def _loaded(spice: ModuleType, kind: str) -> list[str]:
+def _list_loaded(spice: ModuleType, kind: str) -> list[str]:
     return [str(spice.kdata(index, kind)[0]) for index in range(spice.ktotal(kind))]
 
 
-def _spans(spice: ModuleType, cell: object) -> Windows:
+def _read_spans(spice: ModuleType, cell: object) -> Windows:
     spans = (spice.wnfetd(cell, number) for number in range(spice.wncard(cell)))
     return tuple((float(first), float(last)) for first, last in spans)
 
 
-def _utc(tdb_s: float) -> str:
+def _format_utc(tdb_s: float) -> str:
     return utc_from_tdb_s(tdb_s, 0)

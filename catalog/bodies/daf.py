@@ -76,7 +76,7 @@ class _Daf(NamedTuple):
     integers: int
     free: int
 
-    def doubles(self, address: int, count: int) -> tuple[float, ...]:
+    def read_doubles(self, address: int, count: int) -> tuple[float, ...]:
         """Read doubles. Raises ValueError for numbers that are not finite."""
         self.file.seek(DOUBLE * (address - 1))
         values = struct.unpack(f"{self.order}{count}d", self.file.read(DOUBLE * count))
@@ -84,12 +84,12 @@ class _Daf(NamedTuple):
             raise ValueError("a count of a segment")
         return values
 
-    def times(self, address: int, count: int) -> FloatArray:
+    def read_times(self, address: int, count: int) -> FloatArray:
         """Read an increasing list and the directory behind it. Raises ValueError for another one.
 
         The toolkit searches such lists, and runs past the end of one that does not increase.
         """
-        size = count + _directory(count)
+        size = count + _count_directory(count)
         if not 1 <= address <= address + size <= self.free:
             raise ValueError("a segment's number of records")
         self.file.seek(DOUBLE * (address - 1))
@@ -103,7 +103,7 @@ class _Daf(NamedTuple):
 
     def count(self, address: int) -> int:
         """Read a double that counts something. Raises ValueError where it counts nothing."""
-        (value,) = self.doubles(address, 1)
+        (value,) = self.read_doubles(address, 1)
         if value != int(value) or not 0 < value < self.free:
             raise ValueError("a segment's number of records")
         return int(value)
@@ -139,7 +139,7 @@ def check_daf(path: Path, head: bytes, size: int) -> None:
         with path.open("rb") as file:
             daf = _Daf(file, order, word.removeprefix("DAF/"), integers, free)
             if word == "NAIF/DAF":
-                daf = daf._replace(kind=_former_kind(daf, first))
+                daf = daf._replace(kind=_identify_kind(daf, first))
             if (integers == 5) != (daf.kind == "PCK"):
                 raise ValueError("its file record")
             _check_summaries(path, daf, first)
@@ -155,7 +155,7 @@ def _cut_short(path: Path, size: int, least: int) -> DataError:
     )
 
 
-def _former_kind(daf: _Daf, record: int) -> str:
+def _identify_kind(daf: _Daf, record: int) -> str:
     """The kind of a NAIF/DAF file, which only its first summary tells."""
     if daf.integers == 5:
         return "PCK"
@@ -211,21 +211,21 @@ def _check_segment(path: Path, daf: _Daf, segment: Segment) -> None:
         raise ValueError("a segment's number of records")
 
 
-def _directory(count: int) -> int:
+def _count_directory(count: int) -> int:
     """Length of the directory of a list: each hundredth element, but not the last."""
     return (count - 1) // 100
 
 
 def _check_records(daf: _Daf, segment: Segment) -> bool:
     """Records of one length behind each other, their epochs, a directory, words of the end."""
-    tail = daf.doubles(max(segment.last - 3, 1), 4)
+    tail = daf.read_doubles(max(segment.last - 3, 1), 4)
     count = daf.count(segment.last)
-    record, slack, possible = _record(segment.type, tail, daf.kind == "PCK")
+    record, slack, possible = _describe_record(segment.type, tail, daf.kind == "PCK")
     least = count * record
     return possible and least < segment.size <= least + slack * count + 8
 
 
-def _record(type_: int, tail: tuple[float, ...], is_pck: bool) -> tuple[float, int, bool]:
+def _describe_record(type_: int, tail: tuple[float, ...], is_pck: bool) -> tuple[float, int, bool]:
     """Doubles of a record, doubles beside each record, and whether the toolkit can hold it."""
     match type_:
         case 2 | 3:
@@ -261,7 +261,7 @@ def _packet_sizes(kind: str) -> tuple[tuple[int, ...], int, int]:
 def _check_window(daf: _Daf, address: int) -> int:
     """Doubles of a packet by the subtype and window that stand at an address. Raises ValueError."""
     sizes, highest, _ = _packet_sizes(daf.kind)
-    subtype, window = daf.doubles(address, 2)
+    subtype, window = daf.read_doubles(address, 2)
     # odd subtypes interpolate by Lagrange, even ones by Hermite, which has two values a node
     degree = 2.0 * window - 1.0 if subtype in (0.0, 2.0) else window - 1.0
     if subtype not in range(len(sizes)) or not 1.0 <= degree <= highest or window != int(window):
@@ -272,9 +272,9 @@ def _check_window(daf: _Daf, address: int) -> int:
 def _check_packets(daf: _Daf, segment: Segment) -> bool:
     """SPK type 18: packets, their epochs, a directory; subtype, window, number."""
     packet, count = _check_window(daf, segment.last - 2), daf.count(segment.last)
-    if segment.size != count * (packet + 1) + _directory(count) + 3:
+    if segment.size != count * (packet + 1) + _count_directory(count) + 3:
         return False
-    daf.times(segment.first + count * packet, count)
+    daf.read_times(segment.first + count * packet, count)
     return True
 
 
@@ -284,19 +284,19 @@ def _check_mini_segments(daf: _Daf, segment: Segment) -> bool:
     if count > MAX_MINI_SEGMENTS or 2 * count + 5 > segment.size:
         return False
     words = _packet_sizes(daf.kind)[2]
-    pointers = daf.doubles(segment.last - 2 - count, count + 1)
+    pointers = daf.read_doubles(segment.last - 2 - count, count + 1)
     if pointers[0] != 1.0 or pointers[-1] + 2 * count + 3 + count // 100 != segment.size:
         return False
-    bounds = daf.times(segment.first + int(pointers[-1]) - 1, count + 1)
+    bounds = daf.read_times(segment.first + int(pointers[-1]) - 1, count + 1)
     for index, (begin, following) in enumerate(itertools.pairwise(pointers)):
         last = segment.first + int(following) - 2
         length = int(following) - int(begin)
         if following != int(following) or length < words + 2 or last >= segment.last:
             return False
         packet, number = _check_window(daf, last - 2), daf.count(last)
-        if length != number * (packet + 1) + _directory(number) + words:
+        if length != number * (packet + 1) + _count_directory(number) + words:
             return False
-        times = daf.times(segment.first + int(begin) - 1 + number * packet, number)
+        times = daf.read_times(segment.first + int(begin) - 1 + number * packet, number)
         if not times[0] <= bounds[index] or not bounds[index + 1] <= times[-1]:
             return False
     return True
@@ -305,27 +305,27 @@ def _check_mini_segments(daf: _Daf, segment: Segment) -> bool:
 def _check_attitudes(daf: _Daf, segment: Segment) -> bool:
     """CK type 1: quaternions, with rates or without, their times, a directory, their number."""
     count = daf.count(segment.last)
-    lists = count * _quaternion(segment)
-    if segment.size != lists + count + _directory(count) + 1:
+    lists = count * _count_quaternion_doubles(segment)
+    if segment.size != lists + count + _count_directory(count) + 1:
         return False
-    daf.times(segment.first + lists, count)
+    daf.read_times(segment.first + lists, count)
     return True
 
 
 def _check_rates(daf: _Daf, segment: Segment) -> bool:
     """CK type 2: intervals of constant rates, whose number follows from the length alone."""
     count = 100 * (segment.size + 1) // 1001
-    if count < 1 or segment.size != 10 * count + _directory(count):
+    if count < 1 or segment.size != 10 * count + _count_directory(count):
         return False
-    stops = daf.doubles(segment.first + 9 * count, count)
-    starts = daf.doubles(segment.first + 8 * count, count)
+    stops = daf.read_doubles(segment.first + 9 * count, count)
+    starts = daf.read_doubles(segment.first + 8 * count, count)
     increasing = all(a < b for a, b in itertools.pairwise(starts))
     return increasing and all(a < b for a, b in zip(starts, stops, strict=True))
 
 
 def _check_intervals(daf: _Daf, segment: Segment) -> bool:
     """CK type 3: quaternions and their times, starts of intervals; both numbers at the end."""
-    return _check_lists(daf, segment, _quaternion(segment), 2)
+    return _check_lists(daf, segment, _count_quaternion_doubles(segment), 2)
 
 
 def _check_attitude_packets(daf: _Daf, segment: Segment) -> bool:
@@ -336,15 +336,15 @@ def _check_attitude_packets(daf: _Daf, segment: Segment) -> bool:
 def _check_lists(daf: _Daf, segment: Segment, packet: int, words: int) -> bool:
     """Packets with their times, starts of intervals that are such times; words at the end."""
     intervals, count = daf.count(segment.last - 1), daf.count(segment.last)
-    lists = count * (packet + 1) + _directory(count)
-    if segment.size != lists + intervals + _directory(intervals) + words:
+    lists = count * (packet + 1) + _count_directory(count)
+    if segment.size != lists + intervals + _count_directory(intervals) + words:
         return False
-    times = daf.times(segment.first + count * packet, count)
-    starts = daf.times(segment.first + lists, intervals)
+    times = daf.read_times(segment.first + count * packet, count)
+    starts = daf.read_times(segment.first + lists, intervals)
     return bool(starts[0] == times[0] and np.isin(starts, times).all())
 
 
-def _quaternion(segment: Segment) -> int:
+def _count_quaternion_doubles(segment: Segment) -> int:
     return 7 if segment.has_rates else 4
 
 

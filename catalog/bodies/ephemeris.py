@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, LockedOrbit, SunOrbit, SunTheory, load_body
-from catalog.bodies.coverage import common_span
+from catalog.bodies.coverage import intersect_spans
 from catalog.bodies.epochs import DAY_S, J2000_JD, utc_from_tdb_s
 from catalog.bodies.kernels import KernelSet
 from catalog.bodies.rotation import body_from_inertial
@@ -36,7 +36,7 @@ from catalog.geometry.vectors import unit
 CENTURY_S = 36525.0 * DAY_S
 
 
-def mean_anomaly(orbit: LockedOrbit, tdb_s: ArrayLike) -> FloatArray:
+def compute_mean_anomaly(orbit: LockedOrbit, tdb_s: ArrayLike) -> FloatArray:
     """Compute the mean anomaly of a moon, rad, not reduced to one turn, at times (...)."""
     century = np.asarray(tdb_s, dtype=np.float64) / CENTURY_S
     argument = np.array(orbit.mean_anomaly_deg_by_century)
@@ -44,9 +44,9 @@ def mean_anomaly(orbit: LockedOrbit, tdb_s: ArrayLike) -> FloatArray:
     return mean
 
 
-def planet_body(body: Body, orbit: LockedOrbit, tdb_s: ArrayLike) -> FloatArray:
+def compute_planet_position(body: Body, orbit: LockedOrbit, tdb_s: ArrayLike) -> FloatArray:
     """Positions (..., 3) of the planet's centre from the moon's, body frame, m, at times (...)."""
-    mean, e = mean_anomaly(orbit, tdb_s), orbit.eccentricity
+    mean, e = compute_mean_anomaly(orbit, tdb_s), orbit.eccentricity
     argument = orbit.mean_anomaly_deg_by_century
     swing = sum(t.meridian_deg for t in body.rotation.terms if t.angle_deg_by_century == argument)
     centre = 2.0 * e * np.sin(mean) + 1.25 * e**2 * np.sin(2.0 * mean)
@@ -79,38 +79,38 @@ KEPLER_STEPS = 20  # far more than any eccentricity up to 0.99 needs
 OBLIQUITY = np.radians(84381.448 / 3600.0)
 
 
-def sun_direction_inertial(body: Body, tdb_s: float) -> FloatArray:
+def compute_sun_direction_inertial(body: Body, tdb_s: float) -> FloatArray:
     """Unit vector (3,) to the apparent Sun, inertial axes, as seen from the body's centre.
 
     Raises DataError beyond the years of a small body's orbit.
     """
-    from_sun, velocity = _from_sun(body, tdb_s)
+    from_sun, velocity = _compute_heliocentric_state(body, tdb_s)
     direction = -unit(from_sun)
     return unit(direction + velocity / LIGHT_AU_PER_DAY)
 
 
-def velocity_inertial(body: Body, tdb_s: float) -> FloatArray:
+def compute_velocity_inertial(body: Body, tdb_s: float) -> FloatArray:
     """Velocity (3,) of a body's centre about the Sun, m/s, inertial axes: what aberration is from.
 
     The Sun's own motion, 15 m/s, is 0.01". Raises DataError beyond a small body's orbit.
     """
-    return np.asarray(_from_sun(body, tdb_s)[1] * (AU_M / DAY_S))
+    return np.asarray(_compute_heliocentric_state(body, tdb_s)[1] * (AU_M / DAY_S))
 
 
-def _from_sun(body: Body, tdb_s: float) -> tuple[FloatArray, FloatArray]:
+def _compute_heliocentric_state(body: Body, tdb_s: float) -> tuple[FloatArray, FloatArray]:
     """Position of a body from the Sun, AU, and velocity, AU/day."""
     if not isinstance(body.sun, SunOrbit):
-        return _heliocentric(body.sun, tdb_s / DAY_S)
-    if not body.sun.holds(tdb_s):
+        return _compute_planet_state(body.sun, tdb_s / DAY_S)
+    if not body.sun.is_valid_at(tdb_s):
         first, last = body.sun.years
         raise DataError(
             f"{body.name}: the orbit in its body file serves from {first:g} to {last:g}, not at "
             f"{utc_from_tdb_s(tdb_s, 0)}; give the Sun's direction or SPICE kernels"
         )
-    return _kepler(body.sun, tdb_s / DAY_S)
+    return _propagate_kepler(body.sun, tdb_s / DAY_S)
 
 
-def eccentric_anomaly(mean: ArrayLike, eccentricity: float) -> FloatArray:
+def solve_kepler_equation(mean: ArrayLike, eccentricity: float) -> FloatArray:
     """Kepler's equation solved by Newton's steps for mean anomalies (...), rad."""
     wanted = np.asarray(mean, dtype=np.float64)
     # from here the steps converge
@@ -121,13 +121,13 @@ def eccentric_anomaly(mean: ArrayLike, eccentricity: float) -> FloatArray:
     return anomaly
 
 
-def _kepler(orbit: SunOrbit, day: float) -> tuple[FloatArray, FloatArray]:
+def _propagate_kepler(orbit: SunOrbit, day: float) -> tuple[FloatArray, FloatArray]:
     """Position, AU, and velocity, AU/day, on an orbit about the Sun, `day` days after J2000."""
     a, e = orbit.semi_major_axis_au, orbit.eccentricity
     rate = GAUSS_PER_DAY / a**1.5
     mean = np.radians(orbit.mean_anomaly_deg) + rate * (day + J2000_JD - orbit.epoch_jd)
     mean = float(np.remainder(mean, 2.0 * np.pi))
-    anomaly = float(eccentric_anomaly(mean, e))
+    anomaly = float(solve_kepler_equation(mean, e))
     cosine, sine, flat = np.cos(anomaly), np.sin(anomaly), np.sqrt(1.0 - e * e)
     angles = [orbit.perihelion_deg, orbit.inclination_deg, orbit.node_deg]
     ecliptic_from_orbit = Rotation.from_euler("zxz", angles, degrees=True)
@@ -138,28 +138,28 @@ def _kepler(orbit: SunOrbit, day: float) -> tuple[FloatArray, FloatArray]:
     return position, velocity
 
 
-def _heliocentric(of: str, day: float) -> tuple[FloatArray, FloatArray]:
+def _compute_planet_state(of: str, day: float) -> tuple[FloatArray, FloatArray]:
     """Position from the Sun, AU, and velocity, AU/day, `day` days after J2000."""
     with warnings.catch_warnings():
         # Outside 1900-2100 the theories warn; they stay far better than needed.
         warnings.simplefilter("ignore", erfa.ErfaWarning)
         if of in PLANETS:
-            return _vectors(erfa.plan94(J2000_JD, day, PLANETS[of]))
+            return _unpack_state(erfa.plan94(J2000_JD, day, PLANETS[of]))
         # The Sun's own barycentric velocity, 15 m/s, changes the aberration by 0.01".
         heliocentric, _ = erfa.epv00(J2000_JD, day)
-    position, velocity = _vectors(heliocentric)
+    position, velocity = _unpack_state(heliocentric)
     if of == "moon":
-        moon_position, moon_velocity = _moon(day)
+        moon_position, moon_velocity = _compute_moon_state(day)
         return position + moon_position, velocity + moon_velocity
     return position, velocity
 
 
-def _moon(day: float) -> tuple[FloatArray, FloatArray]:
+def _compute_moon_state(day: float) -> tuple[FloatArray, FloatArray]:
     """Position of the Moon from the Earth, AU, and velocity, AU/day."""
-    return _vectors(erfa.moon98(J2000_JD, day))
+    return _unpack_state(erfa.moon98(J2000_JD, day))
 
 
-def _vectors(pv: object) -> tuple[FloatArray, FloatArray]:
+def _unpack_state(pv: object) -> tuple[FloatArray, FloatArray]:
     record = np.asarray(pv)
     return np.array(record["p"], dtype=np.float64), np.array(record["v"], dtype=np.float64)
 
@@ -200,9 +200,9 @@ class Ephemeris(ABC):
         """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
         return self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s)
 
-    def _of_the_catalog(self, body_from_inertial: FloatArray) -> FloatArray:
+    def _rotate_to_catalog(self, body_from_inertial: FloatArray) -> FloatArray:
         """The rotation to the body frame that catalogs are in, of that to the stated one."""
-        return self.body.catalog_frame.catalog_direction(body_from_inertial.T).T
+        return self.body.catalog_frame.rotate_to_catalog(body_from_inertial.T).T
 
 
 class AnalyticEphemeris(Ephemeris):
@@ -216,10 +216,10 @@ class AnalyticEphemeris(Ephemeris):
         return self.body.rotation_error_m(tdb_s)
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
-        return self._of_the_catalog(body_from_inertial(self.body, tdb_s))
+        return self._rotate_to_catalog(body_from_inertial(self.body, tdb_s))
 
     def sun_inertial(self, tdb_s: float) -> FloatArray:
-        return sun_direction_inertial(self.body, tdb_s)
+        return compute_sun_direction_inertial(self.body, tdb_s)
 
     def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
         """For Phobos all but Mars are seen from Mars, 9400 km off.
@@ -229,7 +229,9 @@ class AnalyticEphemeris(Ephemeris):
         """
         body, day = self.body, tdb_s / DAY_S
         if body.orbit is not None and of == body.orbit.around:
-            return body_from_inertial(body, tdb_s).T @ planet_body(body, body.orbit, tdb_s)
+            return body_from_inertial(body, tdb_s).T @ compute_planet_position(
+                body, body.orbit, tdb_s
+            )
         if of == body.name or of == body.sun:
             raise DataError(
                 f"there is no theory here of {of} as seen from {body.name}; "
@@ -237,9 +239,9 @@ class AnalyticEphemeris(Ephemeris):
             )
         if {of, body.sun} == {"earth", "moon"}:
             # the pair itself: the Sun's distance would cost digits
-            return (1.0 if of == "moon" else -1.0) * _moon(day)[0] * AU_M
-        seen_from = _from_sun(body, tdb_s)[0]
-        there = np.zeros(3) if of == "sun" else _heliocentric(of, day)[0]
+            return (1.0 if of == "moon" else -1.0) * _compute_moon_state(day)[0] * AU_M
+        seen_from = _compute_heliocentric_state(body, tdb_s)[0]
+        there = np.zeros(3) if of == "sun" else _compute_planet_state(of, day)[0]
         return (there - seen_from) * AU_M
 
 
@@ -260,7 +262,7 @@ class SpiceEphemeris(Ephemeris):
                 f"{body.name}: its body file has no [spice] naif; add it, or leave [spice] out"
             )
         self._names = body.spice
-        self._frame = self._names.frame or self._kernels.body_frame(body.name)
+        self._frame = self._names.frame or self._kernels.find_body_frame(body.name)
         self._check()
 
     def error_m(self, tdb_s: float) -> float:
@@ -269,13 +271,13 @@ class SpiceEphemeris(Ephemeris):
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
         """Raises DataError, with the span the kernels cover, for a time outside it."""
-        return self._of_the_catalog(self._kernels.rotation(self._frame, tdb_s))
+        return self._rotate_to_catalog(self._kernels.rotation(self._frame, tdb_s))
 
     def sun_inertial(self, tdb_s: float) -> FloatArray:
         """Raises DataError, with the span the kernels cover, for a time outside it."""
         if not self._has_sun:  # none, or those of a craft alone
             return self._analytic.sun_inertial(tdb_s)
-        of, centre = self._sun_and_viewer()
+        of, centre = self._find_sun_and_viewer()
         return unit(self._kernels.position_m(of, centre, tdb_s, apparent=True))
 
     def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
@@ -284,16 +286,16 @@ class SpiceEphemeris(Ephemeris):
         lacking = not any(self._kernels.has_orbit(number) for number in self._names.naif)
         if (lacking and orbit is not None and of == orbit.around) or not self._orbits:
             return self._analytic.position_m(of, tdb_s)
-        centre = self._number(self.body.name, self._names.naif)
-        there = self._number(of, naif_numbers(of))
+        centre = self._find_number(self.body.name, self._names.naif)
+        there = self._find_number(of, find_naif_numbers(of))
         return self._kernels.position_m(there, centre, tdb_s, apparent=False)
 
-    def _sun_and_viewer(self) -> tuple[int, int]:
+    def _find_sun_and_viewer(self) -> tuple[int, int]:
         """NAIF numbers of the Sun and of the body that it is seen from."""
         viewer = self._names.sun_seen_from or self._names.naif
-        return self._number("sun", SUN_NAIF), self._number(self.body.name, viewer)
+        return self._find_number("sun", SUN_NAIF), self._find_number(self.body.name, viewer)
 
-    def _number(self, name: str, numbers: Sequence[int]) -> int:
+    def _find_number(self, name: str, numbers: Sequence[int]) -> int:
         for number in numbers:
             if self._kernels.has_orbit(number):
                 return number
@@ -312,13 +314,13 @@ class SpiceEphemeris(Ephemeris):
             )
         middle = 0.0  # J2000, for constants that hold at all times
         if self._has_sun:
-            sun, centre = self._sun_and_viewer()
-            middle = _middle(self._kernels.orbit_span((sun, centre)), middle)
+            sun, centre = self._find_sun_and_viewer()
+            middle = _find_middle(self._kernels.find_orbit_span((sun, centre)), middle)
             orbit = self.body.sun
-            if not isinstance(orbit, SunOrbit) or orbit.holds(middle):
+            if not isinstance(orbit, SunOrbit) or orbit.is_valid_at(middle):
                 ours, theirs = (m.sun_inertial(middle) for m in (self._analytic, self))
                 self._compare(float(np.linalg.norm(ours - theirs)), "the Sun", middle)
-        middle = _middle(common_span(self._kernels.turns.values()), middle)
+        middle = _find_middle(intersect_spans(self._kernels.turns.values()), middle)
         ours, theirs = (m.body_from_inertial(middle) for m in (self._analytic, self))
         # a rotation by a small angle differs from none by sqrt(2) of it
         apart = float(np.linalg.norm(ours @ theirs.T - np.eye(3)) / np.sqrt(2.0))
@@ -334,7 +336,7 @@ class SpiceEphemeris(Ephemeris):
 
 
 @lru_cache
-def naif_numbers(name: str) -> tuple[int, ...]:
+def find_naif_numbers(name: str) -> tuple[int, ...]:
     """NAIF numbers of the Sun or of a body of configs/bodies."""
     if name == "sun":
         return SUN_NAIF
@@ -342,10 +344,10 @@ def naif_numbers(name: str) -> tuple[int, ...]:
     return () if spice is None else spice.naif
 
 
-def motion_of(body: Body, kernels: Sequence[Path]) -> Ephemeris:
+def load_ephemeris(body: Body, kernels: Sequence[Path]) -> Ephemeris:
     """Use the kernels where any are named, else theory. Raises DataError as SpiceEphemeris does."""
     return SpiceEphemeris(body, kernels) if kernels else AnalyticEphemeris(body)
 
 
-def _middle(span: tuple[float, float] | None, otherwise: float) -> float:
+def _find_middle(span: tuple[float, float] | None, otherwise: float) -> float:
     return otherwise if span is None else 0.5 * (span[0] + span[1])

@@ -46,24 +46,24 @@ def utc_to_tdb_s(utc: str, name: str = "") -> float:
     not a time, not a possible time, or not UTC.
     """
     try:
-        return _tdb_s(*_tai(utc))
+        return _convert_to_tdb_s(*_parse_tai(utc))
     except DataError as error:
         raise DataError(f"{name}: {error}" if name else str(error)) from None
 
 
-def tdb_s_after(utc: str, seconds: ArrayLike) -> FloatArray:
+def compute_tdb_s_after(utc: str, seconds: ArrayLike) -> FloatArray:
     """TDB seconds past J2000 of times so many SI seconds (n,) after a UTC time.
 
     Each is a UTC time of whole milliseconds, the nearest: a count of TDB seconds would drift from
     the clock by some microseconds in hours, by 3 ms in half a year. Raises DataError for times
     before 1960 or after 9999.
     """
-    day, part = _tai(utc)
+    day, part = _parse_tai(utc)
     seconds_tdb = []
     for after in np.atleast_1d(np.asarray(seconds, np.float64)).tolist():
         if not abs(after) < MAX_AFTER_S:
             raise DataError(f"{after:g} s after {utc}: wanted a time before the year 10000")
-        seconds_tdb.append(utc_to_tdb_s(_iso(day, part + after / DAY_S, 3)))
+        seconds_tdb.append(utc_to_tdb_s(_format_iso(day, part + after / DAY_S, 3)))
     return np.array(seconds_tdb)
 
 
@@ -72,10 +72,10 @@ def utc_from_tdb_s(tdb_s: float, digits: int = 6) -> str:
     day = tdb_s / DAY_S
     tt1, tt2 = erfa.tdbtt(J2000_JD, day, _tdb_minus_tt_s(J2000_JD, day))
     tai1, tai2 = erfa.tttai(tt1, tt2)
-    return _iso(tai1, tai2, digits)
+    return _format_iso(tai1, tai2, digits)
 
 
-def _iso(tai1: float, tai2: float, digits: int) -> str:
+def _format_iso(tai1: float, tai2: float, digits: int) -> str:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", erfa.ErfaWarning)  # years beyond the leap-second table
         utc1, utc2 = erfa.taiutc(tai1, tai2)
@@ -154,7 +154,7 @@ def system_to_tdb_s(text: str, system: str) -> float:
     return ((tt[0] - J2000_JD) + tt[1]) * DAY_S + _tdb_minus_tt_s(*tt)
 
 
-def _tai(utc: str) -> tuple[float, float]:
+def _parse_tai(utc: str) -> tuple[float, float]:
     """Both parts of the Julian date, TAI, of a UTC time. Raises DataError."""
     time = _read_calendar(utc)
     if time.zone.lower() not in _UTC_WORDS:
@@ -178,7 +178,7 @@ def _tai(utc: str) -> tuple[float, float]:
     return float(tai1), float(tai2)
 
 
-def _tdb_s(tai1: float, tai2: float) -> float:
+def _convert_to_tdb_s(tai1: float, tai2: float) -> float:
     tt1, tt2 = erfa.taitt(tai1, tai2)
     tdb1, tdb2 = erfa.tttdb(tt1, tt2, _tdb_minus_tt_s(tt1, tt2))
     return float(((tdb1 - J2000_JD) + tdb2) * DAY_S)

@@ -22,12 +22,12 @@ from catalog.bodies.coverage import (
     Missing,
     Quality,
     Span,
-    attitude_files,
-    common_span,
     explain_frame,
     explain_orbits,
-    orbit_files,
-    quality,
+    find_orbit_files,
+    intersect_spans,
+    judge_quality,
+    list_attitude_files,
     read_windows,
 )
 from catalog.bodies.daf import RECORD_BYTES, check_daf
@@ -70,10 +70,10 @@ class KernelSet:
         self.cameras = tuple(
             f"{path.name}: {', '.join(stated)}"
             for path, text in zip(paths, texts, strict=True)
-            if (stated := _stated_of_cameras(text))
+            if (stated := _extract_camera_constants(text))
         )
         self.paths = tuple(str(path.resolve()) for path in paths)
-        with self._loaded() as spice:
+        with self._load_toolkit() as spice:
             self._orbits, self._turns = read_windows(spice, "SPK"), read_windows(spice, "PCK")
         self.orbits = {number: (w[0][0], w[-1][1]) for number, w in self._orbits.items()}
         self.turns = {number: (w[0][0], w[-1][1]) for number, w in self._turns.items()}
@@ -89,28 +89,30 @@ class KernelSet:
 
     def has_frame(self, frame: str) -> bool:
         """Whether the kernels define a frame of this name, with data or without."""
-        with self._loaded() as spice:
+        with self._load_toolkit() as spice:
             number = spice.namfrm(frame)
             try:
                 return bool(number) and spice.frinfo(number) is not None
             except spice.exceptions.SpiceyError:
                 return False
 
-    def body_frame(self, body: str) -> str:
+    def find_body_frame(self, body: str) -> str:
         """The frame that the kernels tie to a body; IAU_NAME by default."""
-        with self._loaded() as spice:
+        with self._load_toolkit() as spice:
             return str(spice.cnmfrm(body.upper())[1])
 
     def rotation(self, frame: str, tdb_s: float) -> FloatArray:
         """Rotation (3, 3) taking inertial vectors to a frame. Raises DataError without data."""
-        with self._loaded() as spice:
+        with self._load_toolkit() as spice:
             try:
                 matrix: FloatArray = spice.pxform(INERTIAL, frame, tdb_s)
             except spice.exceptions.SpiceyError as error:
                 missing = explain_frame(spice, frame, self._turns, tdb_s)
-                raise self._no_data(f"the frame {frame}", tdb_s, missing, error) from None
+                raise self._make_coverage_error(
+                    f"the frame {frame}", tdb_s, missing, error
+                ) from None
         if not np.abs(matrix @ matrix.T - np.eye(3)).max() < ORTHOGONAL:
-            raise self._not_finite(f"the frame {frame}", tdb_s)
+            raise self._make_damage_error(f"the frame {frame}", tdb_s)
         return matrix
 
     def position_m(self, of: int, seen_from: int, tdb_s: float, *, apparent: bool) -> FloatArray:
@@ -121,9 +123,9 @@ class KernelSet:
         Raises DataError where the kernels do not reach.
         """
         correction: Correction = "LT+S" if apparent else "NONE"
-        return self.apparent_m(of, seen_from, tdb_s, correction)[0]
+        return self.compute_apparent_m(of, seen_from, tdb_s, correction)[0]
 
-    def apparent_m(
+    def compute_apparent_m(
         self, of: int, seen_from: int, tdb_s: float, correction: Correction
     ) -> tuple[FloatArray, float]:
         """Position (3,) of a body from another one, inertial, m, and the light time applied, s.
@@ -132,43 +134,45 @@ class KernelSet:
         correction     light time ("LT"), stellar aberration with it ("LT+S"), or "NONE"
         Raises DataError where the kernels do not reach.
         """
-        with self._loaded() as spice:
+        with self._load_toolkit() as spice:
             try:
                 km, light_s = spice.spkpos(str(of), tdb_s, INERTIAL, correction, str(seen_from))
             except spice.exceptions.SpiceyError as error:
                 missing = explain_orbits(self._orbits, (of, seen_from), tdb_s)
                 what = f"body {of} seen from {seen_from}"
-                raise self._no_data(what, tdb_s, missing, error) from None
+                raise self._make_coverage_error(what, tdb_s, missing, error) from None
         if not np.abs(km).max() < MAX_KM:
-            raise self._not_finite(f"body {of} seen from {seen_from}", tdb_s)
+            raise self._make_damage_error(f"body {of} seen from {seen_from}", tdb_s)
         return np.asarray(km) * 1e3, 0.0 if correction == "NONE" else float(light_s)
 
-    def qualities(self, number: int, tdb_s: float) -> tuple[Quality, Quality]:
+    def judge_qualities(self, number: int, tdb_s: float) -> tuple[Quality, Quality]:
         """Return the stated quality of a body's orbit at a time, and that of all attitudes."""
-        with self._loaded() as spice:
-            orbit = quality(spice, orbit_files(spice, number, tdb_s))
-            return orbit, quality(spice, attitude_files(spice))
+        with self._load_toolkit() as spice:
+            orbit = judge_quality(spice, find_orbit_files(spice, number, tdb_s))
+            return orbit, judge_quality(spice, list_attitude_files(spice))
 
-    def joins_barycentre(self, number: int, tdb_s: float) -> bool:
+    def has_barycentre_link(self, number: int, tdb_s: float) -> bool:
         """Whether the solar system's barycentre is reached from a body, as light time needs."""
-        with self._loaded() as spice:
+        with self._load_toolkit() as spice:
             try:
                 spice.spkpos("0", tdb_s, INERTIAL, "NONE", str(number))
             except spice.exceptions.SpiceyError:
                 return False
         return True
 
-    def orbit_span(self, numbers: Sequence[int]) -> Span | None:
+    def find_orbit_span(self, numbers: Sequence[int]) -> Span | None:
         """First and last time, TDB s, of the orbits of all these bodies."""
-        return common_span(self.orbits[n] for n in numbers if n in self.orbits)
+        return intersect_spans(self.orbits[n] for n in numbers if n in self.orbits)
 
-    def _not_finite(self, what: str, tdb_s: float) -> DataError:
+    def _make_damage_error(self, what: str, tdb_s: float) -> DataError:
         return DataError(
             f"SPICE kernels ({self.names}): impossible numbers about {what} at "
             f"{utc_from_tdb_s(tdb_s, 0)}; a kernel is damaged: fetch it again"
         )
 
-    def _no_data(self, what: str, tdb_s: float, missing: Missing, error: Exception) -> DataError:
+    def _make_coverage_error(
+        self, what: str, tdb_s: float, missing: Missing, error: Exception
+    ) -> DataError:
         at = utc_from_tdb_s(tdb_s, 0)
         short = str(getattr(error, "short", "")) or type(error).__name__
         return DataError(
@@ -177,7 +181,7 @@ class KernelSet:
         )
 
     @contextmanager
-    def _loaded(self) -> Iterator[ModuleType]:
+    def _load_toolkit(self) -> Iterator[ModuleType]:
         """The toolkit with this set in place, for one thread at a time."""
         try:
             spice = import_module("spiceypy")
@@ -209,7 +213,7 @@ class KernelSet:
                 raise DataError(f"SPICE kernels ({self.names}): {text}; fetch them again") from None
 
 
-def _stated_of_cameras(text: bytes) -> list[str]:
+def _extract_camera_constants(text: bytes) -> list[str]:
     """Extract the camera constants that a kernel's text states, as NAME = VALUE."""
     statements = []
     for data in _DATA.findall(text):

@@ -32,25 +32,27 @@ _DEGREE = math.pi / 180.0
 
 
 @kernel
-def _quadratic(coefficients: FloatArray, t: float) -> float:
+def _evaluate_quadratic(coefficients: FloatArray, t: float) -> float:
     return float(coefficients[0] + t * (coefficients[1] + t * coefficients[2]))
 
 
 @kernel
-def _pole(t_s: float, slow: FloatArray, angles: FloatArray, amplitudes: FloatArray) -> Axes:
+def _evaluate_pole(
+    t_s: float, slow: FloatArray, angles: FloatArray, amplitudes: FloatArray
+) -> Axes:
     """Right ascension and declination of the pole and prime meridian, rad.
 
     slow        (3, 3)  polynomials of the three, deg by centuries, centuries and days
     amplitudes  (n, 3)  deg, of sine, cosine and sine of the terms' angles
     """
     c, d = t_s / CENTURY_S, t_s / DAY_S
-    ra = _quadratic(slow[0], c)
-    dec = _quadratic(slow[1], c)
+    ra = _evaluate_quadratic(slow[0], c)
+    dec = _evaluate_quadratic(slow[1], c)
     # whole turns off before small terms are added: at 1e7 deg each sum would cost digits
-    meridian = _quadratic(slow[2], d)
+    meridian = _evaluate_quadratic(slow[2], d)
     meridian -= 360.0 * math.floor(meridian / 360.0)
     for i in range(angles.shape[0]):
-        angle = _quadratic(angles[i], c)
+        angle = _evaluate_quadratic(angles[i], c)
         sine = math.sin(angle)
         ra += amplitudes[i, 0] * sine
         dec += amplitudes[i, 1] * math.cos(angle)
@@ -59,18 +61,20 @@ def _pole(t_s: float, slow: FloatArray, angles: FloatArray, amplitudes: FloatArr
 
 
 @kernel
-def _turn(t_s: float, slow: FloatArray, angles: FloatArray, amplitudes: FloatArray) -> Axes:
+def _evaluate_turn(
+    t_s: float, slow: FloatArray, angles: FloatArray, amplitudes: FloatArray
+) -> Axes:
     """Rotation vector, rad, about body x, y, z.
 
     slow        (3, 3)     its slow part, axis by powers of centuries
     amplitudes  (n, 2, 3)  of sine and cosine of the terms' angles
     """
     c = t_s / CENTURY_S
-    x = _quadratic(slow[0], c)
-    y = _quadratic(slow[1], c)
-    z = _quadratic(slow[2], c)
+    x = _evaluate_quadratic(slow[0], c)
+    y = _evaluate_quadratic(slow[1], c)
+    z = _evaluate_quadratic(slow[2], c)
     for i in range(angles.shape[0]):
-        angle = _quadratic(angles[i], c)
+        angle = _evaluate_quadratic(angles[i], c)
         sine, cosine = math.sin(angle), math.cos(angle)
         x += amplitudes[i, 0, 0] * sine + amplitudes[i, 1, 0] * cosine
         y += amplitudes[i, 0, 1] * sine + amplitudes[i, 1, 1] * cosine
@@ -82,7 +86,7 @@ def _turn(t_s: float, slow: FloatArray, angles: FloatArray, amplitudes: FloatArr
 def rotate_by_series(times_s: FloatArray, series: Series, out: FloatArray) -> None:
     """Write rotations (n, 3, 3) from inertial to body axes of times (n,)."""
     for i in range(times_s.shape[0]):
-        ra, dec, meridian = _pole(times_s[i], *series)
+        ra, dec, meridian = _evaluate_pole(times_s[i], *series)
         # about z by 90 deg + ra, about x by 90 deg - dec, about z by the meridian, multiplied out
         cn, sn = -math.sin(ra), math.cos(ra)
         ci, si = math.sin(dec), math.cos(dec)
@@ -94,14 +98,14 @@ def rotate_by_series(times_s: FloatArray, series: Series, out: FloatArray) -> No
 
 
 @kernel
-def turn_on(
+def rotate_by_correction(
     times_s: FloatArray, years_s: tuple[float, float], series: Series, out: FloatArray
 ) -> None:
     """Turn rotations (n, 3, 3) on by the correction where a time lies from years_s[0] to [1]."""
     for i in range(times_s.shape[0]):
         if not (years_s[0] <= times_s[i] <= years_s[1]):
             continue
-        x, y, z = _turn(times_s[i], *series)
+        x, y, z = _evaluate_turn(times_s[i], *series)
         # Rodrigues' formula with the series of its factors: exact to 1e-16 below 0.01 rad
         squared = x * x + y * y + z * z
         first = 1.0 - squared / 6.0 * (1.0 - squared / 20.0)
@@ -121,14 +125,14 @@ def body_from_inertial(body: Body, tdb_s: ArrayLike) -> FloatArray:
     """
     times = np.ascontiguousarray(tdb_s, dtype=np.float64).reshape(-1)
     rotations = np.empty((len(times), 3, 3))
-    rotate_by_series(times, _series_table(body.rotation), rotations)
+    rotate_by_series(times, _make_series_table(body.rotation), rotations)
     if body.rotation_correction is not None:
-        turn_on(times, *_correction_table(body.rotation_correction), rotations)
+        rotate_by_correction(times, *_make_correction_table(body.rotation_correction), rotations)
     return rotations.reshape(*np.shape(tdb_s), 3, 3)
 
 
 @lru_cache
-def _series_table(series: RotationSeries) -> Series:
+def _make_series_table(series: RotationSeries) -> Series:
     """Slow part (3, 3), angles (n, 3) and amplitudes (n, 3) as the kernel takes them."""
     slow = (
         series.pole_ra_deg_by_century,
@@ -145,7 +149,7 @@ def _series_table(series: RotationSeries) -> Series:
 
 
 @lru_cache
-def _correction_table(correction: RotationCorrection) -> tuple[tuple[float, float], Series]:
+def _make_correction_table(correction: RotationCorrection) -> tuple[tuple[float, float], Series]:
     """First and last time, s, slow part (3, 3), angles (n, 3), amplitudes (n, 2, 3), rad."""
     slow = (
         correction.x_arcsec_by_century,

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray
-from catalog.bodies.stars import BrightStars, stars_of
+from catalog.bodies.stars import BrightStars, make_stars
 from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, read_input
 from catalog.keywords import Keyword, check_keywords
@@ -75,16 +75,16 @@ def read_star_catalog(path: Path, epoch: float | None = None) -> BrightStars:
     except UnicodeDecodeError:
         raise DataError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8") from None
     try:
-        lines = [line for line in csv.reader(_uncommented(text), skipinitialspace=True) if line]
+        lines = [line for line in csv.reader(_strip_comments(text), skipinitialspace=True) if line]
     except csv.Error as error:
         raise DataError(f"{path}: is not a CSV file: {error}") from None
     if len(lines) < 2:
         raise DataError(f"{path}: has no stars; wanted a header and a row of each star")
     table = _Table(path, [name.strip() for name in lines[0]], lines[1:])
-    return table.stars(epoch)
+    return table.read_stars(epoch)
 
 
-def _uncommented(text: str) -> list[str]:
+def _strip_comments(text: str) -> list[str]:
     return [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
 
 
@@ -106,14 +106,14 @@ class _Table:
         check_keywords(path, first.items(), KEYWORDS)
         for name in ("equinox", "frame"):
             # of a later row as of the first
-            values = set(self._cells(name)) if name in self.header else set()
+            values = set(self._read_cells(name)) if name in self.header else set()
             check_keywords(path, ((name, value) for value in sorted(values)), KEYWORDS)
 
-    def _cells(self, name: str) -> list[str]:
+    def _read_cells(self, name: str) -> list[str]:
         column = self.header.index(name)
         return [row[column].strip() for row in self.rows]
 
-    def _column(self, quantity: str) -> str:
+    def _find_column(self, quantity: str) -> str:
         gaia = GAIA[MAGNITUDE] in self.header
         names = [*NAMES[quantity], *([GAIA[quantity]] if gaia else [])]
         stated = [name for name in names if name in self.header]
@@ -130,10 +130,10 @@ class _Table:
             "(motions may be empty), or the columns of the Gaia archive"
         )
 
-    def _numbers(self, name: str) -> FloatArray:
+    def _read_numbers(self, name: str) -> FloatArray:
         """A column (n,); NaN where a cell is empty."""
         values = np.empty(len(self.rows))
-        for number, cell in enumerate(self._cells(name)):
+        for number, cell in enumerate(self._read_cells(name)):
             try:
                 values[number] = np.nan if cell.lower() in NO_VALUE else float(cell)
             except ValueError:
@@ -150,7 +150,7 @@ class _Table:
                 f"{self.path}: row {row + 2}, {name}: {values[row]:.10g}; wanted {wanted}"
             )
 
-    def _epochs(self, epoch: float | None) -> FloatArray:
+    def _read_epochs(self, epoch: float | None) -> FloatArray:
         """The year (n,) of each star's place."""
         stated = [name for name in EPOCHS if name in self.header]
         if not stated:
@@ -161,7 +161,7 @@ class _Table:
                 )
             years = np.full(len(self.rows), epoch)
         else:
-            years = self._numbers(stated[0])
+            years = self._read_numbers(stated[0])
             if epoch is not None and not np.all(np.abs(years - epoch) < 1e-6):
                 raise DataError(
                     f"{self.path}: its column '{stated[0]}' has {years[0]:g}, and {epoch:g} is "
@@ -171,9 +171,9 @@ class _Table:
         self._refuse(wrong, stated[0] if stated else "epoch", years, "a Julian year, as 2016.0")
         return years
 
-    def stars(self, epoch: float | None) -> BrightStars:
-        names = {quantity: self._column(quantity) for quantity in NAMES}
-        ra, dec, pm_ra, pm_dec, mag = (self._numbers(names[quantity]) for quantity in NAMES)
+    def read_stars(self, epoch: float | None) -> BrightStars:
+        names = {quantity: self._find_column(quantity) for quantity in NAMES}
+        ra, dec, pm_ra, pm_dec, mag = (self._read_numbers(names[quantity]) for quantity in NAMES)
         self._refuse(~((ra >= -180.0) & (ra <= 360.0)), names[RA], ra, "degrees, 0 to 360")
         self._refuse(~(np.abs(dec) <= 90.0), names[DEC], dec, "degrees, -90 to 90")
         for name, motion in ((names[PM_RA], pm_ra), (names[PM_DEC], pm_dec)):
@@ -182,7 +182,7 @@ class _Table:
         wrong = (mag < MIN_MAGNITUDE) | (mag > MAX_MAGNITUDE)
         self._refuse(wrong, names[MAGNITUDE], mag, f"{MIN_MAGNITUDE:g} to {MAX_MAGNITUDE:g}")
         self._check_units(ra, dec)
-        years = self._epochs(epoch)
+        years = self._read_epochs(epoch)
         known = ~np.isnan(mag)
         still = np.isnan(pm_ra) | np.isnan(pm_dec)
         if not known.any():
@@ -194,8 +194,8 @@ class _Table:
         motions = np.nan_to_num(np.stack([pm_ra, pm_dec], axis=1))
         order = np.argsort(mag, kind="stable")
         order = order[known[order]]
-        labels = self._labels()
-        return stars_of(
+        labels = self._make_labels()
+        return make_stars(
             np.stack([ra, dec], axis=1)[order], motions[order], mag[order], years[order],
             tuple(labels[number] for number in order),
         )  # fmt: skip
@@ -211,11 +211,11 @@ class _Table:
                 "as radians; convert them to degrees"
             )
 
-    def _labels(self) -> list[str]:
+    def _make_labels(self) -> list[str]:
         """Label each star by its name, its number in a catalogue, or its row."""
         labels = [f"row {number}" for number in range(2, len(self.rows) + 2)]
         for column, prefix in (("source_id", "Gaia "), ("hip", "HIP "), ("name", "")):
             if column in self.header:
-                cells = self._cells(column)
+                cells = self._read_cells(column)
                 labels = [prefix + a if a else b for a, b in zip(cells, labels, strict=True)]
         return labels

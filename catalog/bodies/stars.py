@@ -40,7 +40,7 @@ class BrightStars:
     names: tuple[str, ...]
     epoch_years: float | FloatArray = EPOCH_YEAR
 
-    def at(self, tdb_s: float | None) -> FloatArray:
+    def propagate(self, tdb_s: float | None) -> FloatArray:
         """Directions (n, 3) at a time, TDB s past J2000; at J2025 without one."""
         year = DEFAULT_YEAR if tdb_s is None else J2000_YEAR + tdb_s / JULIAN_YEAR_S
         years = np.reshape(year - np.asarray(self.epoch_years, dtype=np.float64), (-1, 1))
@@ -53,7 +53,7 @@ class BrightStars:
         return self.names[number] or f"HIP {self.hip[number]}"
 
 
-def stars_of(
+def make_stars(
     places_deg: FloatArray,
     motions_mas_yr: FloatArray,
     magnitudes: FloatArray,
@@ -76,7 +76,7 @@ def stars_of(
 
 
 @cache
-def bright_stars() -> BrightStars:
+def load_bright_stars() -> BrightStars:
     """The stars of data/bright_stars.csv: all down to V 6.5, and a thousand fainter ones."""
     with resource("data/bright_stars.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -84,10 +84,10 @@ def bright_stars() -> BrightStars:
     table = np.array([[float(row[name]) for name in names] for row in rows])
     labels = tuple(row["name"] for row in rows)
     hip = table[:, 5].astype(np.int64)
-    return stars_of(table[:, :2], table[:, 3:5], table[:, 2], EPOCH_YEAR, labels, hip)
+    return make_stars(table[:, :2], table[:, 3:5], table[:, 2], EPOCH_YEAR, labels, hip)
 
 
-def aberrated(directions: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
+def apply_aberration(directions: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
     """Directions (n, 3) as an observer of a velocity (3,) against the Sun sees them.
 
     To first order in v/c: 20" by the Earth's motion; the next order is 0.002".

@@ -19,12 +19,12 @@ from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.correlation.peak import (
     Match,
     Remainder,
-    laid_patterns,
     locate_peak,
-    refined_by_remainder,
+    place_patterns,
+    refine_by_remainder,
 )
 from catalog.geometry.grid import sample_bicubic
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.kernel import inplace_kernel, kernel
 
 Number = TypeVar("Number", np.float32, np.float64, np.bool_)
 
@@ -49,47 +49,49 @@ MAX_DIRECT_PLACES = 15
 MIN_COMMON_SHARE = 0.7
 
 
-def high_pass(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -> Float32Array:
+def filter_high_pass(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -> Float32Array:
     """Grid less its Gaussian-weighted local mean; NaN nodes take no part and become zero.
 
     grid (rows, cols) float32; returns the same shape, finite.
     """
-    return high_passed((grid,), np.isfinite(grid), sigma_nodes)[0]
+    return filter_high_pass_masked((grid,), np.isfinite(grid), sigma_nodes)[0]
 
 
-def high_passed(
+def filter_high_pass_masked(
     grids: tuple[Float32Array, ...], valid: BoolArray, sigma_nodes: float = HIGH_PASS_NODES
 ) -> list[Float32Array]:
-    """`high_pass` of grids whose nodes are those of `valid`."""
+    """`filter_high_pass` of grids whose nodes are those of `valid`."""
     if valid.all():
-        return [high_pass_finite(grid, sigma_nodes) for grid in grids]
+        return [filter_high_pass_finite(grid, sigma_nodes) for grid in grids]
     weight, zero = _weight(valid, sigma_nodes), np.float32(0.0)
     passed = []
     for grid in grids:
         filled = np.where(valid, grid, zero)
-        passed.append(np.where(valid, filled - _blurred(filled, sigma_nodes) / weight, zero))
+        passed.append(np.where(valid, filled - _blur(filled, sigma_nodes) / weight, zero))
     return passed
 
 
-def high_pass_finite(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -> Float32Array:
-    """`high_pass` of a grid (rows, cols), or up to four behind each other, without NaN."""
-    return grid - _blurred(grid, sigma_nodes)
+def filter_high_pass_finite(
+    grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES
+) -> Float32Array:
+    """`filter_high_pass` of a grid (rows, cols), or up to four behind each other, without NaN."""
+    return grid - _blur(grid, sigma_nodes)
 
 
-def quick_high_passed(
+def filter_high_pass_quickly(
     grids: Sequence[Float32Array], valid: BoolArray, margin_nodes: int = 0
 ) -> Float32Array:
-    """`high_passed` of k grids (rows, cols), then without their outer margin, in half the time.
+    """High-pass k grids (rows, cols), crop their margin; faster than `filter_high_pass_masked`.
 
     Returns (k, rows - 2 margin, cols - 2 margin), right to the rounding. Not in its place:
     catalogs' trials go by that, and their digests by its last bits.
     """
     stack = np.ascontiguousarray(grids[0])[None] if len(grids) == 1 else np.stack(grids)
-    return _quick_high_passed(stack, valid, _TAPS, margin_nodes)
+    return _filter_stack(stack, valid, _TAPS, margin_nodes)
 
 
 @kernel
-def _quick_high_passed(
+def _filter_stack(
     grids: Float32Array, valid: BoolArray, taps: Float32Array, margin: int
 ) -> Float32Array:
     count, rows, cols = grids.shape
@@ -119,7 +121,7 @@ def _quick_high_passed(
     return passed
 
 
-@bare_kernel
+@inplace_kernel
 def _fill_blurred(
     grid: Float32Array, taps: Float32Array, margin: int, line: Float32Array, out: Float32Array
 ) -> None:
@@ -136,17 +138,17 @@ def _fill_blurred(
         for j in range(1, reach, 4):
             i, k = row - j, row + j
             before = (
-                grid[_mirrored(i, rows)], grid[_mirrored(i - 1, rows)],
-                grid[_mirrored(i - 2, rows)], grid[_mirrored(i - 3, rows)],
+                grid[_mirror_node(i, rows)], grid[_mirror_node(i - 1, rows)],
+                grid[_mirror_node(i - 2, rows)], grid[_mirror_node(i - 3, rows)],
             )  # fmt: skip
             behind = (
-                grid[_mirrored(k, rows)], grid[_mirrored(k + 1, rows)],
-                grid[_mirrored(k + 2, rows)], grid[_mirrored(k + 3, rows)],
+                grid[_mirror_node(k, rows)], grid[_mirror_node(k + 1, rows)],
+                grid[_mirror_node(k + 2, rows)], grid[_mirror_node(k + 3, rows)],
             )  # fmt: skip
             _add_pairs(across, taps[j:], before, behind)
         for j in range(1, reach + 1):
-            line[reach - j] = across[_mirrored(-j, cols)]
-            line[reach + cols - 1 + j] = across[_mirrored(cols - 1 + j, cols)]
+            line[reach - j] = across[_mirror_node(-j, cols)]
+            line[reach + cols - 1 + j] = across[_mirror_node(cols - 1 + j, cols)]
         for c in range(into.size):
             into[c] = taps[0] * line[at + c]
         for j in range(1, reach, 4):
@@ -156,7 +158,7 @@ def _fill_blurred(
             _add_pairs(into, taps[j:], before, behind)
 
 
-@bare_kernel
+@inplace_kernel
 def _add_pairs(
     sums: Float32Array,
     taps: Float32Array,
@@ -170,8 +172,8 @@ def _add_pairs(
         sums[c] += t * (a[c] + b[c]) + u * (d[c] + e[c]) + (v * (f[c] + g[c]) + w * (h[c] + k[c]))
 
 
-@bare_kernel
-def _mirrored(node: int, size: int) -> int:
+@inplace_kernel
+def _mirror_node(node: int, size: int) -> int:
     """Mirror a node beyond the ends of a line back into it."""
     if size == 1:
         return 0
@@ -182,10 +184,10 @@ def _mirrored(node: int, size: int) -> int:
 
 def _weight(valid: BoolArray, sigma_nodes: float) -> Float32Array:
     """Compute the Gaussian-weighted fraction of valid neighbours of each node, at least 1e-3."""
-    return np.maximum(_blurred(valid.astype(np.float32), sigma_nodes), np.float32(1e-3))
+    return np.maximum(_blur(valid.astype(np.float32), sigma_nodes), np.float32(1e-3))
 
 
-def _blurred(grid: Float32Array, sigma_nodes: float) -> Float32Array:
+def _blur(grid: Float32Array, sigma_nodes: float) -> Float32Array:
     return np.asarray(cv2.GaussianBlur(grid, (0, 0), sigma_nodes), dtype=np.float32)
 
 
@@ -200,24 +202,24 @@ class Filtered(NamedTuple):
     floor: float
 
 
-def filtered(grid: Float32Array, margin_nodes: int = 0) -> Filtered:
+def filter_grid(grid: Float32Array, margin_nodes: int = 0) -> Filtered:
     """High-pass a grid (rows, cols) and take off a margin that only the high-pass sees.
 
     A high-pass that ends at the reference's own border bends it there, which moves the peak by
     0.15-0.2 nodes; with 8 nodes of margin 0.01-0.02 are left.
     """
-    floor = MIN_CONTRAST * _greatest_size(grid)
-    return Filtered(cropped(high_pass(grid), margin_nodes), floor)
+    floor = MIN_CONTRAST * _find_max_size(grid)
+    return Filtered(crop(filter_high_pass(grid), margin_nodes), floor)
 
 
-def quick_filtered(grid: Float32Array, margin_nodes: int = 0) -> Filtered:
-    """`filtered` by `quick_high_passed`."""
-    floor = MIN_CONTRAST * _greatest_size(grid)
-    return Filtered(quick_high_passed((grid,), np.isfinite(grid), margin_nodes)[0], floor)
+def filter_grid_quickly(grid: Float32Array, margin_nodes: int = 0) -> Filtered:
+    """`filter_grid` by `filter_high_pass_quickly`."""
+    floor = MIN_CONTRAST * _find_max_size(grid)
+    return Filtered(filter_high_pass_quickly((grid,), np.isfinite(grid), margin_nodes)[0], floor)
 
 
 @kernel
-def _greatest_size(grid: Float32Array) -> float:
+def _find_max_size(grid: Float32Array) -> float:
     """Greatest absolute value, holes aside; 0 without any."""
     # of each column, so that no node waits for the one before it
     greatest = np.zeros(grid.shape[1], np.float32)
@@ -231,7 +233,7 @@ def _greatest_size(grid: Float32Array) -> float:
 def correlated(template: Filtered, image: Filtered) -> Float32Array:
     """Scores of a reference at every place where it fits whole into the search grid.
 
-    template (n, n), image (m, m) with m - n even, both of `filtered`.
+    template (n, n), image (m, m) with m - n even, both of `filter_grid`.
     Returns (m - n + 1, m - n + 1); the middle element is the centred place.
     Raises ValueError for sizes that cannot be centred on each other.
     """
@@ -247,11 +249,11 @@ def correlated(template: Filtered, image: Filtered) -> Float32Array:
     # A side without contrast has no correlation; OpenCV then returns ones, rounding noise decides.
     if float(cv2.meanStdDev(template.values)[1][0, 0]) <= template.floor:
         return np.full_like(surface, -1.0)
-    _void_flat_windows(image.values, height, width, image.floor, surface)
+    _reject_flat_windows(image.values, height, width, image.floor, surface)
     return surface
 
 
-def _scores(template: Filtered, image: Filtered) -> Float32Array:
+def _correlate_quickly(template: Filtered, image: Filtered) -> Float32Array:
     """Correlate as `correlated` does, to rounding, in a third of its time where places are few.
 
     Not in its place: catalogs' trials go by that, and their digests by its last bits.
@@ -317,7 +319,7 @@ def _fill_few_scores(
             surface[i, j] = np.float32(min(max(score, -1.0), 1.0))
 
 
-@bare_kernel
+@inplace_kernel
 def _add_products(
     centred: Float32Array, image: Float32Array, top: int, left: int, products: FloatArray
 ) -> None:
@@ -342,7 +344,7 @@ def _add_products(
 
 
 @kernel
-def _void_flat_windows(
+def _reject_flat_windows(
     image: Float32Array, height: int, width: int, least_rms: float, surface: Float32Array
 ) -> None:
     """Put -1 where the rms of the (height, width) window under a score is least_rms or less."""
@@ -367,7 +369,7 @@ def _void_flat_windows(
             columns[c] -= image[first, c] * image[first, c]
 
 
-def cropped(grid: NDArray[Number], margin: int) -> NDArray[Number]:
+def crop(grid: NDArray[Number], margin: int) -> NDArray[Number]:
     """A grid (rows, cols, ...) without its outer `margin` nodes, contiguous."""
     rows, cols = grid.shape[:2]
     return np.ascontiguousarray(grid[margin : rows - margin, margin : cols - margin])
@@ -378,13 +380,13 @@ def match_ncc(reference: Float32Array, search: Float32Array, margin_nodes: int =
 
     Both are float32 with NaN for no data, and carry `margin_nodes` that only the high-pass sees.
     """
-    return match_in(reference, filtered(search, margin_nodes=margin_nodes), margin_nodes)
+    return match_in(reference, filter_grid(search, margin_nodes=margin_nodes), margin_nodes)
 
 
 def match_in(reference: Float32Array, image: Filtered, margin_nodes: int = 0) -> Match:
     """`match_ncc` in a search grid that is filtered already."""
-    nodes = int(np.count_nonzero(np.isfinite(cropped(reference, margin_nodes))))
-    return locate_peak(correlated(filtered(reference, margin_nodes=margin_nodes), image), nodes)
+    nodes = int(np.count_nonzero(np.isfinite(crop(reference, margin_nodes))))
+    return locate_peak(correlated(filter_grid(reference, margin_nodes=margin_nodes), image), nodes)
 
 
 def blur_nodes(posting_m: float, known_m: float) -> float:
@@ -392,27 +394,27 @@ def blur_nodes(posting_m: float, known_m: float) -> float:
     return BLUR_SHARE * known_m / posting_m if posting_m < known_m else 0.0
 
 
-def low_pass(grid: Float32Array, sigma_nodes: float) -> Float32Array:
+def filter_low_pass(grid: Float32Array, sigma_nodes: float) -> Float32Array:
     """Gaussian-weighted local mean of a grid (rows, cols); NaN nodes take no part and stay."""
     valid = np.isfinite(grid)
     filled = np.where(valid, grid, np.float32(0.0)).astype(np.float32)
-    mean = _blurred(filled, sigma_nodes) / _weight(valid, sigma_nodes)
+    mean = _blur(filled, sigma_nodes) / _weight(valid, sigma_nodes)
     return np.where(valid, mean, np.float32(np.nan)).astype(np.float32)
 
 
-def thinning(sigma_nodes: float) -> float:
+def choose_thinning(sigma_nodes: float) -> float:
     """Nodes from one to the next that is kept behind a blur: a sigma, or all of them."""
     return max(1.0, sigma_nodes)
 
 
-def thinned(grid: Float32Array, sigma_nodes: float, even: bool) -> Float32Array:
-    """A square grid (n, n) behind its blur, with nodes `thinning` apart about the same centre.
+def downsample_blurred(grid: Float32Array, sigma_nodes: float, even: bool) -> Float32Array:
+    """Blur a square grid (n, n) and keep nodes `choose_thinning` apart about the same centre.
 
     even  whether the sides are even, so that a template and what it is sought in fit
     As many nodes as fit; NaN takes no part in the blur, and where it is the nearest node stays NaN.
     """
-    soft = low_pass(grid, sigma_nodes)
-    step = thinning(sigma_nodes)
+    soft = filter_low_pass(grid, sigma_nodes)
+    step = choose_thinning(sigma_nodes)
     if step == 1.0:
         return soft
     size = grid.shape[0]
@@ -431,27 +433,29 @@ def match_masked(
 ) -> Match:
     """Find a reference (n, n) in a search grid (m, m), m - n even; NaN of either takes no part.
 
-    image  of the search grid, where it is `filtered` already
+    image  of the search grid, where it is `filter_grid` already
     Both are float32 and carry `margin_nodes` that only the high-pass sees. The reference is cut as
     the search grid is about its middle before the high-pass, so that both bend at the same edges.
     """
     room = (search.shape[0] - reference.shape[0]) // 2
-    reference = np.where(np.isfinite(cropped(search, room)), reference, np.float32(np.nan))
+    reference = np.where(np.isfinite(crop(search, room)), reference, np.float32(np.nan))
     both = reference, search
-    has, shows = (np.isfinite(cropped(grid, margin_nodes)).astype(np.float32) for grid in both)
-    template = quick_filtered(reference, margin_nodes)
-    surface, common = _surface(template, has, image or quick_filtered(search, margin_nodes), shows)
+    has, shows = (np.isfinite(crop(grid, margin_nodes)).astype(np.float32) for grid in both)
+    template = filter_grid_quickly(reference, margin_nodes)
+    surface, common = _correlate_masked(
+        template, has, image or filter_grid_quickly(search, margin_nodes), shows
+    )
     return locate_peak(surface, round(float(common.flat[surface.argmax()])))
 
 
-def _surface(
+def _correlate_masked(
     template: Filtered, has: Float32Array, image: Filtered, shows: Float32Array
 ) -> tuple[Float32Array, FloatArray]:
     """Scores at every place where the template fits, -1 with too few nodes; and common nodes."""
     part, full = template.values, image.values
     places, side = full.shape[0] - part.shape[0] + 1, cv2.getOptimalDFTSize(full.shape[0])
-    images = [_waves(grid, side) for grid in (shows, full, full * full)]
-    parts = [_waves(grid, side) for grid in (has, part, part * part)]
+    images = [_transform_padded(grid, side) for grid in (shows, full, full * full)]
+    parts = [_transform_padded(grid, side) for grid in (has, part, part * part)]
 
     def sums(i: int, k: int) -> FloatArray:
         """Sum products of an image and a template at every place where the latter fits."""
@@ -475,7 +479,7 @@ def _surface(
     return np.clip(surface, -1.0, 1.0).astype(np.float32), common
 
 
-def _waves(grid: Float32Array, side: int) -> Float32Array:
+def _transform_padded(grid: Float32Array, side: int) -> Float32Array:
     """Transform of a square grid with zeros behind it to a side."""
     padded = np.zeros((side, side), np.float32)
     padded[: grid.shape[0], : grid.shape[1]] = grid
@@ -491,58 +495,58 @@ def match_cut(
 ) -> Match:
     """Match by `match_ncc`, or by `match_masked` where the search grid lacks some of its nodes.
 
-    image      of the search grid, `filtered`
-    remainder  whether the covariance is that of `with_remainder_covariance`
+    image      of the search grid, `filter_grid`
+    remainder  whether the covariance is that of `add_remainder_covariance`
     """
     has, shows = np.isfinite(reference), np.isfinite(search)
-    known = cropped(has, margin_nodes)
+    known = crop(has, margin_nodes)
     # what the reference covers wherever it is laid
     covered = margin_nodes + search.shape[0] - reference.shape[0]
-    cut = known.all() and not cropped(shows, covered).all()
+    cut = known.all() and not crop(shows, covered).all()
     if not cut:
-        soft = quick_high_passed((reference,), has)[0]
-        template = Filtered(cropped(soft, margin_nodes), MIN_CONTRAST * _greatest_size(reference))
-        match = locate_peak(_scores(template, image), int(np.count_nonzero(known)))
-        cut = not shows.all() and (known & ~laid_at(shows, known, match)).any()
+        soft = filter_high_pass_quickly((reference,), has)[0]
+        template = Filtered(crop(soft, margin_nodes), MIN_CONTRAST * _find_max_size(reference))
+        match = locate_peak(_correlate_quickly(template, image), int(np.count_nonzero(known)))
+        cut = not shows.all() and (known & ~cut_match(shows, known, match)).any()
     if cut:
         # zeros for what the grid lacks would pull the reference inward
         match = match_masked(reference, search, margin_nodes, image)
     elif remainder and np.isfinite(match.covariance).all():
-        both = has & laid_at(shows, has, match)
+        both = has & cut_match(shows, has, match)
         if both.all():
-            patch = laid_at(image.values, template.values, match)
-            return _by_remainder(match, soft, patch, both, margin_nodes)
-    return with_remainder_covariance(match, reference, search, margin_nodes) if remainder else match
+            patch = cut_match(image.values, template.values, match)
+            return _refine_match(match, soft, patch, both, margin_nodes)
+    return add_remainder_covariance(match, reference, search, margin_nodes) if remainder else match
 
 
-def with_remainder_covariance(
+def add_remainder_covariance(
     match: Match, reference: Float32Array, search: Float32Array, margin_nodes: int
 ) -> Match:
-    """A match with the covariance that its remainder gives; see `refined_by_remainder`.
+    """A match with the covariance that its remainder gives; see `refine_by_remainder`.
 
     reference, search, margin_nodes  as `match_masked` took them. A peak that is none stays so.
     """
     if not np.isfinite(match.covariance).all():
         return match
-    seen = laid_at(search, reference, match)
+    seen = cut_match(search, reference, match)
     both = np.isfinite(reference) & np.isfinite(seen)
-    template, patch = quick_high_passed((reference, seen), both)
-    return _by_remainder(match, template, cropped(patch, margin_nodes), both, margin_nodes)
+    template, patch = filter_high_pass_quickly((reference, seen), both)
+    return _refine_match(match, template, crop(patch, margin_nodes), both, margin_nodes)
 
 
-def _by_remainder(
+def _refine_match(
     match: Match, template: Float32Array, patch: Float32Array, both: BoolArray, margin_nodes: int
 ) -> Match:
     """With high-passed grids; the patch and what both have: about the nearest node of the match."""
-    patterns = laid_patterns(match, template, margin_nodes)
-    compared = cropped(both, margin_nodes)
+    patterns = place_patterns(match, template, margin_nodes)
+    compared = crop(both, margin_nodes)
     nodes = int(np.count_nonzero(compared))
     if nodes < compared.size:
         patterns, patch = patterns * compared, patch * compared
-    return stepped(match, refined_by_remainder(patterns, patch, nodes))
+    return apply_remainder(match, refine_by_remainder(patterns, patch, nodes))
 
 
-def stepped(match: Match, found: Remainder) -> Match:
+def apply_remainder(match: Match, found: Remainder) -> Match:
     """A match with the place and covariance that its remainder gives."""
     if not np.isfinite(found.covariance).all():
         return match._replace(covariance=found.covariance)
@@ -551,7 +555,7 @@ def stepped(match: Match, found: Remainder) -> Match:
     return match._replace(dx=match.dx + x, dy=match.dy + y, covariance=found.covariance)
 
 
-def laid_at(search: NDArray[Number], reference: NDArray[Any], match: Match) -> NDArray[Number]:
+def cut_match(search: NDArray[Number], reference: NDArray[Any], match: Match) -> NDArray[Number]:
     """The nodes (n, n) of a search grid on which a reference lies where it was found."""
     side = reference.shape[0]
     room = (search.shape[0] - side) // 2

@@ -7,7 +7,7 @@ usual least-squares result written for correlation. n_eff counts independent sam
 terrain decorrelates over a few nodes, so it is far below the number of nodes.
 
 That is quick and right for noise alone. Relief and albedo that a reference lacks are correlated
-over many nodes: `refined_by_remainder` takes their spectrum from what the match leaves over.
+over many nodes: `refine_by_remainder` takes their spectrum from what the match leaves over.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ import numpy as np
 import scipy.fft
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.kernel import inplace_kernel, kernel
 
 # Nodes of high-passed lunar relief that share one independent brightness error: fitted to the
 # errors of 900 matches on simulated frames, with scores from 0.4 to 0.97.
@@ -34,7 +34,7 @@ MAX_LAG = 15  # beyond it the taper is below 2e-9
 # Waves are damped as by a blur of this sigma, nodes: the shortest ones are moved by local errors of
 # the relief, which do not average. Chosen with the two above on 40 frames of real_unk_200km.
 DAMPED_NODES = 0.6
-# Nodes about one that `laid_patterns` needs.
+# Nodes about one that `place_patterns` needs.
 REACH = 4
 # Coefficients by power of the polynomial through nodes -2 to 3.
 _THROUGH_SIX = np.linalg.inv(np.vander(np.arange(-2.0, 4.0), increasing=True))
@@ -76,7 +76,7 @@ def locate_peak(surface: Float32Array, nodes: int) -> Match:
     peak: the true place may lie outside.
     """
     row, col = divmod(int(surface.argmax()), surface.shape[1])
-    dx, dy, best, runner_up, xx, xy, yy = _shape(np.ascontiguousarray(surface), row, col)
+    dx, dy, best, runner_up, xx, xy, yy = _fit_peak(np.ascontiguousarray(surface), row, col)
     covariance = np.array([[xx, xy], [xy, yy]])
     if np.isfinite(xx):
         samples = max(nodes / NODES_PER_SAMPLE, 1.0)
@@ -86,7 +86,7 @@ def locate_peak(surface: Float32Array, nodes: int) -> Match:
 
 
 @kernel
-def _shape(
+def _fit_peak(
     surface: Float32Array, row: int, col: int
 ) -> tuple[float, float, float, float, float, float, float]:
     """Sub-node place (x, y) of the peak at (row, col), its score, the runner-up, H^-1 (xx, xy, yy).
@@ -95,7 +95,7 @@ def _shape(
     """
     rows, cols = surface.shape
     best = float(surface[row, col])
-    runner_up = _runner_up(surface, row, col)
+    runner_up = _find_runner_up(surface, row, col)
     none = float(col), float(row), best, runner_up, np.inf, 0.0, np.inf
     if not (0 < row < rows - 1 and 0 < col < cols - 1):
         return none
@@ -117,7 +117,7 @@ def _shape(
 
 
 @kernel
-def _runner_up(surface: Float32Array, row: int, col: int) -> float:
+def _find_runner_up(surface: Float32Array, row: int, col: int) -> float:
     """Highest local maximum at least RIVAL_DISTANCE nodes from the peak; its slope is no rival."""
     rows, cols = surface.shape
     best = -1.0
@@ -137,7 +137,7 @@ def _runner_up(surface: Float32Array, row: int, col: int) -> float:
 
 
 class Remainder(NamedTuple):
-    """A match's place with what the two leave over for its error: see `refined_by_remainder`.
+    """A match's place with what the two leave over for its error: see `refine_by_remainder`.
 
     shift       (2,) x, y, nodes, from where the template was laid
     covariance  (2, 2) of the place, nodes^2; infinite where the patch does not show the template
@@ -172,7 +172,9 @@ class WeightedFit(NamedTuple):
     right: FloatArray
     scatter: FloatArray
 
-    def solved(self, priors: Sequence[Prior] = ()) -> tuple[FloatArray, FloatArray] | None:
+    def solve_with_priors(
+        self, priors: Sequence[Prior] = ()
+    ) -> tuple[FloatArray, FloatArray] | None:
         """Strengths (k - 1,) from the template on, their covariance; None: no template is shown."""
         normal, right, scatter = self.normal.copy(), self.right.copy(), self.scatter.copy()
         for pattern, mean, sigma in priors:
@@ -180,19 +182,19 @@ class WeightedFit(NamedTuple):
             right[k] += weight * (mean * self.first[1] - self.first[pattern])
             normal[k, k] += weight
             scatter[k, k] += weight
-        known, strengths, covariance = _steps(self.first, normal, right, scatter)
+        known, strengths, covariance = _solve_steps(self.first, normal, right, scatter)
         return (strengths, covariance) if known else None
 
     def remainder(self, priors: Sequence[Prior] = ()) -> Remainder:
         """The place that the strengths give."""
-        solution = self.solved(priors)
+        solution = self.solve_with_priors(priors)
         if solution is None:
             return NO_REMAINDER
         (gain, *moved), covariance = solution[0][:3], solution[1][1:3, 1:3]
         return Remainder(-np.array(moved) / gain, covariance / gain**2)
 
 
-def refined_by_remainder(patterns: Float32Array, patch: Float32Array, nodes: int) -> Remainder:
+def refine_by_remainder(patterns: Float32Array, patch: Float32Array, nodes: int) -> Remainder:
     """A match's place by generalised least squares, weighted by what the two do not share.
 
     patterns (k, n, n)  1, the template laid where it was found, its slopes t_x and t_y, and what
@@ -209,44 +211,44 @@ def refined_by_remainder(patterns: Float32Array, patch: Float32Array, nodes: int
     is, the place has N^-1 J N^-1 / a^2; infinite where a <= 0: the patch does not show the
     template.
     """
-    fit = weighted_fit(patterns, patch, nodes)
+    fit = fit_weighted(patterns, patch, nodes)
     return NO_REMAINDER if fit is None else fit.remainder()
 
 
-def weighted_fit(patterns: Float32Array, patch: Float32Array, nodes: int) -> WeightedFit | None:
-    """The fit of `refined_by_remainder`; None where the patch does not show the template."""
+def fit_weighted(patterns: Float32Array, patch: Float32Array, nodes: int) -> WeightedFit | None:
+    """The fit of `refine_by_remainder`; None where the patch does not show the template."""
     patterns, patch = np.ascontiguousarray(patterns), np.ascontiguousarray(patch)
-    first, grids = _first_fit(patterns, patch)
+    first, grids = _fit_first(patterns, patch)
     if not first[1] > 0.0:
         return None
     # zeros about the grids keep opposite borders apart as far as errors are correlated
     side = cv2.getOptimalDFTSize(patch.shape[0] + CORRELATED_NODES)
     waves = scipy.fft.rfft2(grids, s=(side, side)).view(np.float32)
-    power = _power(waves[-1])
-    spectrum, mean = _smoothed(power)
+    power = _compute_power(waves[-1])
+    spectrum, mean = _smooth_spectrum(power)
     # a perfect match leaves nothing
     floor = SPECTRUM_FLOOR * mean / nodes + 1e-30
-    return WeightedFit(first, *_weighted_sums(waves, power, spectrum, floor, nodes))
+    return WeightedFit(first, *_sum_weighted(waves, power, spectrum, floor, nodes))
 
 
-def plain_fit(patterns: Float32Array, patch: Float32Array) -> FloatArray | None:
+def fit_plain(patterns: Float32Array, patch: Float32Array) -> FloatArray | None:
     """Fit the amplitudes (k,) of patterns (k, n, n) in a patch (n, n); None if one is absent."""
-    strengths = _strengths(np.ascontiguousarray(patterns), np.ascontiguousarray(patch))
+    strengths = _fit_strengths(np.ascontiguousarray(patterns), np.ascontiguousarray(patch))
     return strengths if np.isfinite(strengths).all() else None
 
 
 @kernel
-def _first_fit(patterns: Float32Array, patch: Float32Array) -> tuple[FloatArray, Float32Array]:
-    """Strengths (k,) as of `_strengths`; the patterns but for the first, and what those leave."""
-    strengths, grids = _strengths(patterns, patch), np.empty_like(patterns)
+def _fit_first(patterns: Float32Array, patch: Float32Array) -> tuple[FloatArray, Float32Array]:
+    """Return strengths (k,) of `_fit_strengths`; all patterns but the first, and the residual."""
+    strengths, grids = _fit_strengths(patterns, patch), np.empty_like(patterns)
     grids[:-1] = patterns[1:]
-    grids[-1] = rest_of(patterns, patch, strengths)
+    grids[-1] = subtract_patterns(patterns, patch, strengths)
     return strengths, grids
 
 
 @kernel
-def _strengths(patterns: Float32Array, patch: Float32Array) -> FloatArray:
-    """Strengths (k,) of `plain_fit`; NaN where a pattern is nowhere."""
+def _fit_strengths(patterns: Float32Array, patch: Float32Array) -> FloatArray:
+    """Strengths (k,) of `fit_plain`; NaN where a pattern is nowhere."""
     count, (rows, cols) = len(patterns), patch.shape
     normal, right = np.empty((count, count)), np.empty(count)
     # a sum a column, so that products are not added one after the other
@@ -275,7 +277,7 @@ def _strengths(patterns: Float32Array, patch: Float32Array) -> FloatArray:
     return strengths
 
 
-@bare_kernel
+@inplace_kernel
 def _invert(normal: FloatArray, load: float, inverse: FloatArray) -> float:
     """Fill the inverse (n, n) of normal equations, solved in units of their own.
 
@@ -309,10 +311,10 @@ def _invert(normal: FloatArray, load: float, inverse: FloatArray) -> float:
 
 
 @kernel
-def _steps(
+def _solve_steps(
     first: FloatArray, normal: FloatArray, right: FloatArray, scatter: FloatArray
 ) -> tuple[bool, FloatArray, FloatArray]:
-    """Strengths and covariance of `WeightedFit.solved`, and whether they are known."""
+    """Strengths and covariance of `WeightedFit.solve_with_priors`, and whether they are known."""
     count = right.size
     strengths, covariance = first[1:].copy(), np.zeros((count, count))
     inverse = np.empty((count, count))
@@ -332,7 +334,7 @@ def _steps(
 
 
 @kernel
-def _power(waves: Float32Array) -> Float32Array:
+def _compute_power(waves: Float32Array) -> Float32Array:
     """Squares (n, m) of waves (n, 2 m), real and imaginary in turn."""
     rows, cols = waves.shape[0], waves.shape[1] // 2
     power = np.empty((rows, cols), np.float32)
@@ -343,25 +345,25 @@ def _power(waves: Float32Array) -> Float32Array:
     return power
 
 
-def _smoothed(power: Float32Array) -> tuple[Float32Array, float]:
+def _smooth_spectrum(power: Float32Array) -> tuple[Float32Array, float]:
     """A power spectrum (n, n // 2 + 1) as its correlation's taper by lags leaves it; its mean.
 
     By the few lags that the taper leaves, to which and back matrices are quicker than transforms.
     """
     side, half = power.shape
     # the columns stand for those of the other half of the plane too
-    folded = power * _columns_meant(side)
+    folded = power * _count_columns_meant(side)
     # of a row and a column that both turn to their opposites the sines' product stays, but the
     # power's opposite is itself: cosines go with cosines alone, and sines with sines
     smooth = np.zeros_like(power)
-    for waves in _lag_waves(side):
+    for waves in _make_lag_waves(side):
         along = waves[:, :half]
         smooth += waves.T @ ((waves @ folded @ along.T) @ along)
     return smooth, float(folded.sum()) / side**2
 
 
 @cache
-def _columns_meant(side: int) -> Float32Array:
+def _count_columns_meant(side: int) -> Float32Array:
     """Count the columns of a full spectrum that each of a half one (side // 2 + 1,) stands for."""
     meant = np.full(side // 2 + 1, 2.0, np.float32)
     meant[0] = 1.0
@@ -371,7 +373,7 @@ def _columns_meant(side: int) -> Float32Array:
 
 
 @cache
-def _lag_waves(side: int) -> Float32Array:
+def _make_lag_waves(side: int) -> Float32Array:
     """Cosines and sines (2, MAX_LAG + 1, side) of lags by frequency, with the root of the taper."""
     lags = np.arange(min(MAX_LAG, (side - 1) // 2) + 1)
     taper = np.exp(-0.25 * (lags / LAG_NODES) ** 2) * np.sqrt(np.where(lags == 0, 1.0, 2.0) / side)
@@ -381,7 +383,9 @@ def _lag_waves(side: int) -> Float32Array:
 
 
 @kernel
-def rest_of(patterns: Float32Array, patch: Float32Array, strengths: FloatArray) -> Float32Array:
+def subtract_patterns(
+    patterns: Float32Array, patch: Float32Array, strengths: FloatArray
+) -> Float32Array:
     """Subtract patterns (k, n, m) of some amplitudes (k,) from a patch (n, m)."""
     count, rows, cols = patterns.shape
     residual = patch.copy()
@@ -394,7 +398,7 @@ def rest_of(patterns: Float32Array, patch: Float32Array, strengths: FloatArray) 
 
 
 @kernel
-def _weighted_sums(
+def _sum_weighted(
     waves: Float32Array, power: Float32Array, spectrum: Float32Array, floor: float, nodes: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Normal equations (k, k), (k,) of a rest by patterns, weighted by a spectrum.
@@ -436,16 +440,16 @@ def _weighted_sums(
     return normal, right, scatter
 
 
-def laid_patterns(
+def place_patterns(
     match: Match, template: Float32Array, margin_nodes: int, others: Sequence[Float32Array] = ()
 ) -> Float32Array:
-    """Patterns (4 + k, n, n) of `refined_by_remainder`, laid where a template was found.
+    """Patterns (4 + k, n, n) of `refine_by_remainder`, laid where a template was found.
 
     template, others  k of them, high-passed, with a margin that is taken off
     By polynomials through six nodes a side: slopes of neighbours' differences would be too small
     for short waves, which move a place by too much.
     """
-    along, down = (_six_nodes(np.rint(by) - by) for by in (match.dx, match.dy))
+    along, down = (_weigh_six_nodes(np.rint(by) - by) for by in (match.dx, match.dy))
     shape = tuple(side - 2 * margin_nodes for side in template.shape)
     if margin_nodes < REACH:
         padded = [np.pad(grid, REACH, mode="reflect") for grid in (template, *others)]
@@ -453,14 +457,14 @@ def laid_patterns(
         margin_nodes += REACH
     laid = np.ones((4 + len(others), *shape), np.float32)
     moved = np.empty((shape[0] + 5, shape[1]), np.float32)
-    _lay(template, margin_nodes, along, down, moved, laid[1:4])
+    _place_pattern(template, margin_nodes, along, down, moved, laid[1:4])
     for number, other in enumerate(others):
-        _lay(other, margin_nodes, along, down, moved, laid[4 + number : 5 + number])
+        _place_pattern(other, margin_nodes, along, down, moved, laid[4 + number : 5 + number])
     return laid
 
 
-@bare_kernel
-def _lay(
+@inplace_kernel
+def _place_pattern(
     grid: Float32Array,
     margin: int,
     along: tuple[int, Float32Array],
@@ -468,7 +472,7 @@ def _lay(
     moved: Float32Array,
     laid: Float32Array,
 ) -> None:
-    """Fill in a grid, moved as `_six_nodes` weighs along rows and down columns, and its slopes.
+    """Fill in a grid, moved by weights of `_weigh_six_nodes` along rows and columns; its slopes.
 
     moved (n + 5, m)     to work in
     laid (1 or 3, n, m)  the grid without its margin, then its slopes to x and y where they fit
@@ -497,7 +501,7 @@ def _lay(
 
 
 @kernel
-def _six_nodes(shift: float) -> tuple[int, Float32Array]:
+def _weigh_six_nodes(shift: float) -> tuple[int, Float32Array]:
     """Which node, from one on, is the first of six, and their weights for value and slope (2, 6).
 
     shift  where value and slope are wanted, nodes from that one; less than two

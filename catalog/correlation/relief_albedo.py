@@ -29,15 +29,21 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.config import Positive, load_toml, resource
-from catalog.correlation.ncc import cropped, laid_at, low_pass, quick_high_passed, stepped
+from catalog.correlation.ncc import (
+    apply_remainder,
+    crop,
+    cut_match,
+    filter_high_pass_quickly,
+    filter_low_pass,
+)
 from catalog.correlation.peak import (
     Match,
     Prior,
     WeightedFit,
-    laid_patterns,
-    plain_fit,
-    rest_of,
-    weighted_fit,
+    fit_plain,
+    fit_weighted,
+    place_patterns,
+    subtract_patterns,
 )
 
 FILE = "configs/models/albedo.toml"
@@ -66,31 +72,35 @@ class ReliefAlbedo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @cache
-def shipped_strengths() -> ReliefAlbedo:
+def load_shipped_strengths() -> ReliefAlbedo:
     """The numbers that ship with optnav. Raises ConfigError for a wrong file."""
     return load_toml(resource(FILE), ReliefAlbedo)
 
 
-def steepness_and_crests(heights: ArrayLike, posting_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def compute_steepness_and_crests(
+    heights: ArrayLike, posting_m: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
     """Slope of smoothed ground (n, m), and its change over a kilometre: below 0 on a crest.
 
     posting_m  m from row to row and from column to column, or one for both
     """
     rows_m, columns_m = np.broadcast_to(posting_m, 2)
-    smooth = low_pass(np.asarray(heights, np.float32), SMOOTH_M / np.sqrt(rows_m * columns_m))
+    smooth = filter_low_pass(
+        np.asarray(heights, np.float32), SMOOTH_M / np.sqrt(rows_m * columns_m)
+    )
     down, along = np.gradient(smooth.astype(np.float64), rows_m, columns_m)
     bend = np.gradient(down, rows_m, axis=0) + np.gradient(along, columns_m, axis=1)
     return np.hypot(down, along), CRESTS_OVER_M * bend
 
 
-def relief_patterns(
+def make_relief_patterns(
     heights: Float32Array, posting_m: float, brightness: Float32Array
 ) -> Float32Array:
     """Compute the change of brightness by unit slope, and by unit slope change per km, (2, n, n).
 
     heights (n, n) m, brightness (n, n) as rendered. NaN where either is unknown.
     """
-    patterns = np.stack(steepness_and_crests(heights, posting_m))
+    patterns = np.stack(compute_steepness_and_crests(heights, posting_m))
     # less their means, so that they carry no shading
     patterns -= np.nanmean(patterns, axis=(1, 2), keepdims=True)
     return (patterns * brightness).astype(np.float32)
@@ -111,41 +121,41 @@ class ReliefMatch:
     compared: BoolArray
 
     @cached_property
-    def _rests(self) -> list[Float32Array]:
+    def _residuals(self) -> list[Float32Array]:
         """Residuals of the patch without and with steepness and crests; [] where one is flat."""
         rests = []
         for some in (self.laid[:PLAIN_PATTERNS], self.laid):
-            fit = plain_fit(some, self.patch)
+            fit = fit_plain(some, self.patch)
             if fit is None:
                 return []
-            rests.append(rest_of(some, self.patch, fit))
+            rests.append(subtract_patterns(some, self.patch, fit))
         return rests
 
     @cached_property
     def explained(self) -> float:
         """Share of what the match leaves over that steepness and crests explain."""
-        if not self._rests:
+        if not self._residuals:
             return 0.0
-        alone, both = (float(np.square(residual).mean()) for residual in self._rests)
+        alone, both = (float(np.square(residual).mean()) for residual in self._residuals)
         return 1.0 - both / alone if alone > 1e-30 else 0.0
 
     @cached_property
     def fit(self) -> WeightedFit | None:
         """Steepness and crests fitted beside the place; None where they cannot be."""
-        if not self._rests:
+        if not self._residuals:
             return None
-        local = _local_size(self._rests[1], self.compared)
+        local = _compute_local_rms(self._residuals[1], self.compared)
         nodes = int(np.count_nonzero(self.compared))
-        return weighted_fit(self.laid / local, self.patch / local, nodes)
+        return fit_weighted(self.laid / local, self.patch / local, nodes)
 
-    def under(self, strengths: ReliefAlbedo) -> Match:
+    def apply_albedo(self, strengths: ReliefAlbedo) -> Match:
         """The match with place and covariance under so strong an albedo."""
         if self.fit is None:
             return self.match
-        return stepped(self.match, self.fit.remainder(_priors(strengths)))
+        return apply_remainder(self.match, self.fit.remainder(_make_priors(strengths)))
 
 
-def relief_match(
+def make_relief_match(
     match: Match,
     reference: Float32Array,
     patterns: Float32Array,
@@ -154,31 +164,36 @@ def relief_match(
 ) -> ReliefMatch | None:
     """A match with the patterns laid where it was found; None where it is no peak.
 
-    reference (n, n), search (m, m) as for `match_ncc`;  patterns (2, n, n) of `relief_patterns`
+    reference (n, n), search (m, m)  as for `match_ncc`
+    patterns (2, n, n)               of `make_relief_patterns`
     Nodes that either grid lacks take no part.
     """
     if not np.isfinite(match.covariance).all():
         return None
-    grids = (reference, *patterns, laid_at(search, reference, match))
+    grids = (reference, *patterns, cut_match(search, reference, match))
     known = np.isfinite(np.stack(grids)).all(axis=0)
-    template, *others, patch = quick_high_passed(grids, known)
-    compared = cropped(known, margin_nodes)
-    laid = laid_patterns(match, template, margin_nodes, others) * compared
-    return ReliefMatch(match, laid, cropped(patch, margin_nodes) * compared, compared)
+    template, *others, patch = filter_high_pass_quickly(grids, known)
+    compared = crop(known, margin_nodes)
+    laid = place_patterns(match, template, margin_nodes, others) * compared
+    return ReliefMatch(match, laid, crop(patch, margin_nodes) * compared, compared)
 
 
-def frame_strengths(points: Sequence[ReliefMatch]) -> ReliefAlbedo:
+def estimate_strengths(points: Sequence[ReliefMatch]) -> ReliefAlbedo:
     """Strengths as some matches of a picture show them together, and how they differ among them.
 
     So a match is held by what the others tell.
     """
-    shipped = shipped_strengths()
+    shipped = load_shipped_strengths()
     fits = [point.fit for point in points if point.fit is not None]
-    solutions = [solved for fit in fits if (solved := fit.solved(_priors(shipped))) is not None]
+    solutions = [
+        solved
+        for fit in fits
+        if (solved := fit.solve_with_priors(_make_priors(shipped))) is not None
+    ]
     if not solutions:
         return shipped
     parts = []
-    for prior in _priors(shipped):
+    for prior in _make_priors(shipped):
         k, variance = prior.pattern - 1, prior.sigma**2
         values = np.array([strengths[k] / strengths[0] for strengths, _ in solutions])
         noise = np.array([spread[k, k] / strengths[0] ** 2 for strengths, spread in solutions])
@@ -191,14 +206,14 @@ def frame_strengths(points: Sequence[ReliefMatch]) -> ReliefAlbedo:
     return ReliefAlbedo(*parts)
 
 
-def _priors(strengths: ReliefAlbedo) -> list[Prior]:
+def _make_priors(strengths: ReliefAlbedo) -> list[Prior]:
     return [
         Prior(PLAIN_PATTERNS + k, strength.mean, strength.sigma)
         for k, strength in enumerate((strengths.steepness, strengths.crests))
     ]
 
 
-def _local_size(rest: Float32Array, compared: BoolArray) -> Float32Array:
+def _compute_local_rms(rest: Float32Array, compared: BoolArray) -> Float32Array:
     """Rms of a rest (n, n) about each node over that of the whole, of the nodes compared."""
     square, weight = (
         cv2.GaussianBlur(grid, (0, 0), LOCAL_NODES, borderType=cv2.BORDER_REFLECT)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.ncc import Filtered, filtered, high_pass, match_in, match_ncc
+from catalog.correlation.ncc import Filtered, filter_grid, filter_high_pass, match_in, match_ncc
 from catalog.correlation.peak import Match
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.kernel import inplace_kernel, kernel
 
 # Nodes of all windows of a search; with more of them transforms are quicker than one product.
 MAX_IN_WINDOWS = 200_000
@@ -36,7 +36,7 @@ class SimilarityMatch(NamedTuple):
     scale: float
 
 
-def turned(
+def rotate_and_scale(
     reference: Float32Array, roll: float, scale: float, beyond: float = np.nan
 ) -> Float32Array:
     """A square grid turned by `roll` (rad) and stretched by `scale` about its centre.
@@ -62,22 +62,24 @@ def match_similarity(
     """Best match over a grid of rolls (rad) and scales; the best pair is refined by parabolas.
 
     reference, search as `match_ncc` takes them. Evenly spaced rolls and scales are expected.
-    halved  for `match_ncc`: as for `best_pair`
+    halved  for `match_ncc`: as for `find_best_pair`
     Raises ValueError for no roll or no scale.
     """
     if matcher is match_ncc:
-        image = filtered(search, margin_nodes=margin_nodes)
-        roll, scale = best_pair(reference, image, rolls, scales, margin_nodes, halved)
-        match = match_in(turned(reference, roll, scale), image, margin_nodes)
+        image = filter_grid(search, margin_nodes=margin_nodes)
+        roll, scale = find_best_pair(reference, image, rolls, scales, margin_nodes, halved)
+        match = match_in(rotate_and_scale(reference, roll, scale), image, margin_nodes)
         return SimilarityMatch(match, roll, scale)
     find = partial(matcher, search=search, margin_nodes=margin_nodes)
-    roll, scale = _refined_pair(
-        rolls, scales, lambda pairs: [find(turned(reference, *pair)).score for pair in pairs]
+    roll, scale = _refine_pair(
+        rolls,
+        scales,
+        lambda pairs: [find(rotate_and_scale(reference, *pair)).score for pair in pairs],
     )
-    return SimilarityMatch(find(turned(reference, roll, scale)), roll, scale)
+    return SimilarityMatch(find(rotate_and_scale(reference, roll, scale)), roll, scale)
 
 
-def best_pair(
+def find_best_pair(
     reference: Float32Array,
     image: Filtered,
     rolls: Sequence[float],
@@ -90,11 +92,11 @@ def best_pair(
     halved  from grids of half as many nodes, at a third of the time, where all sides are even
     """
     even = reference.shape[0] % 2 == image.values.shape[0] % 2 == margin_nodes % 2 == 0
-    scores = half_pair_scores if halved and even else pair_scores
-    return _refined_pair(rolls, scales, lambda pairs: scores(reference, image, pairs, margin_nodes))
+    scores = score_pairs_halved if halved and even else score_pairs
+    return _refine_pair(rolls, scales, lambda pairs: scores(reference, image, pairs, margin_nodes))
 
 
-def _refined_pair(
+def _refine_pair(
     rolls: Sequence[float],
     scales: Sequence[float],
     scores_of: Callable[[list[tuple[float, float]]], Sequence[float]],
@@ -105,10 +107,12 @@ def _refined_pair(
     scores = np.reshape(scored, (len(rolls), len(scales)))
     i, j = divmod(int(np.argmax(scores)), len(scales))
     # a parabola's peak is less than half a step from the best pair: as good, or better
-    return _parabola_peak(rolls, scores[:, j], i), _parabola_peak(scales, scores[i, :], j)
+    return _locate_parabola_peak(rolls, scores[:, j], i), _locate_parabola_peak(
+        scales, scores[i, :], j
+    )
 
 
-def pair_scores(
+def score_pairs(
     reference: Float32Array,
     image: Filtered,
     pairs: Sequence[tuple[float, float]],
@@ -119,7 +123,7 @@ def pair_scores(
     What pairs share is done once: the reference is high-passed before it is turned, not after, and
     the image is transformed and its windows' contrast summed for all of them.
     """
-    template = high_pass(reference)
+    template = filter_high_pass(reference)
     size = template.shape[0] - 2 * margin_nodes
     places = image.values.shape[0] - size + 1
     side = cv2.getOptimalDFTSize(image.values.shape[0])
@@ -127,36 +131,38 @@ def pair_scores(
     padded[: image.values.shape[0], : image.values.shape[1]] = image.values
     spectrum = cv2.dft(padded)
     padded[:] = 0.0
-    contrast = _window_contrast(image, size)
+    contrast = _measure_window_contrast(image, size)
     scores = []
     for roll, scale in pairs:
-        length = _put_centred(turned(template, roll, scale, beyond=0.0), margin_nodes, padded)
+        length = _place_centred(
+            rotate_and_scale(template, roll, scale, beyond=0.0), margin_nodes, padded
+        )
         # the transform of rows that are known to be zero is left out, and that of rows not wanted
         turn = cv2.dft(padded, nonzeroRows=size)
         product = cv2.mulSpectrums(spectrum, turn, 0, conjB=True)
         flags = cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT
         sums = np.asarray(cv2.dft(product, flags=flags, nonzeroRows=places), np.float32)
-        scores.append(_greatest_ratio(sums, contrast) / max(length, 1e-30))
+        scores.append(_find_max_ratio(sums, contrast) / max(length, 1e-30))
     return scores
 
 
-def half_pair_scores(
+def score_pairs_halved(
     reference: Float32Array,
     image: Filtered,
     pairs: Sequence[tuple[float, float]],
     margin_nodes: int,
 ) -> list[float]:
-    """Score pairs as `pair_scores` does, from grids of half as many nodes a side; all sides even.
+    """Score pairs as `score_pairs` does, from grids of half as many nodes a side; all sides even.
 
     A score is that of the top of parabolas through the best place and those beside it: the best
     place of so few may lie half a node, one of the whole grids, from the true one.
     """
-    template = _with_zeros(_halved(high_pass(reference)))
-    half = Filtered(_halved(image.values), image.floor)
+    template = _pad_with_zeros(_downsample_by_two(filter_high_pass(reference)))
+    half = Filtered(_downsample_by_two(image.values), image.floor)
     size = template.shape[0] - 2 * (margin_nodes // 2 + 1)
-    contrast = _window_contrast(half, size)
+    contrast = _measure_window_contrast(half, size)
     parts = np.empty((len(pairs), size * size), np.float32)
-    _fill_turned(template.reshape(-1), *_turns(tuple(pairs), len(template), size), parts)
+    _fill_turned(template.reshape(-1), *_map_turned_nodes(tuple(pairs), len(template), size), parts)
     parts -= parts.mean(axis=1, keepdims=True)
     lengths = np.sqrt(np.einsum("kn,kn->k", parts, parts))
     if contrast.size * size * size > MAX_IN_WINDOWS:
@@ -168,25 +174,25 @@ def half_pair_scores(
         _fill_windows(half.values, size, windows)
         # one product of matrices has the sums of all pairs at all places
         sums = parts @ windows.T
-    tops: list[float] = _top_scores(sums, contrast, lengths).tolist()
+    tops: list[float] = _find_top_scores(sums, contrast, lengths).tolist()
     return tops
 
 
-def _with_zeros(grid: Float32Array) -> Float32Array:
+def _pad_with_zeros(grid: Float32Array) -> Float32Array:
     """A grid (rows, cols) with a zero on every side."""
     wider = np.zeros((grid.shape[0] + 2, grid.shape[1] + 2), np.float32)
     wider[1:-1, 1:-1] = grid
     return wider
 
 
-def _halved(grid: Float32Array) -> Float32Array:
+def _downsample_by_two(grid: Float32Array) -> Float32Array:
     """Means of 2 x 2 nodes."""
     size = (grid.shape[1] // 2, grid.shape[0] // 2)
     return np.asarray(cv2.resize(grid, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 @lru_cache(maxsize=8)
-def _turns(
+def _map_turned_nodes(
     pairs: tuple[tuple[float, float], ...], side: int, size: int
 ) -> tuple[NDArray[np.uint32], Float32Array]:
     """Where nodes of the middle (size, size) of a grid (side, side) come from when it is turned.
@@ -209,11 +215,11 @@ def _turns(
     return at.reshape(len(pairs), -1), past.reshape(2, len(pairs), -1)
 
 
-@bare_kernel
+@inplace_kernel
 def _fill_turned(
     grid: Float32Array, at: NDArray[np.uint32], past: Float32Array, parts: Float32Array
 ) -> None:
-    """Fill parts (k, m) with a grid (n^2,) at places of `_turns`."""
+    """Fill parts (k, m) with a grid (n^2,) at places of `_map_turned_nodes`."""
     side, next_node = np.uint32(math.sqrt(grid.size)), np.uint32(1)
     for k in range(at.shape[0]):
         line, nodes, behind, below = parts[k], at[k], past[0, k], past[1, k]
@@ -224,7 +230,7 @@ def _fill_turned(
             line[c] = a + below[c] * (b - a)
 
 
-@bare_kernel
+@inplace_kernel
 def _fill_windows(image: Float32Array, size: int, windows: Float32Array) -> None:
     """Fill windows (places, size^2) with the squares of an image at all places, row by row."""
     count = image.shape[0] - size + 1
@@ -238,7 +244,9 @@ def _fill_windows(image: Float32Array, size: int, windows: Float32Array) -> None
 
 
 @kernel
-def _top_scores(sums: Float32Array, contrast: Float32Array, lengths: Float32Array) -> FloatArray:
+def _find_top_scores(
+    sums: Float32Array, contrast: Float32Array, lengths: Float32Array
+) -> FloatArray:
     """Correlations of templates (k) at the top between their places; sums (k, rows cols)."""
     rows, cols = contrast.shape
     tops = np.empty(lengths.size)
@@ -248,22 +256,22 @@ def _top_scores(sums: Float32Array, contrast: Float32Array, lengths: Float32Arra
         i, j = best // cols, best % cols
         top = float(scores[i, j])
         if 0 < i < rows - 1:
-            top += _rise(scores[i - 1, j], scores[i, j], scores[i + 1, j])
+            top += _compute_peak_rise(scores[i - 1, j], scores[i, j], scores[i + 1, j])
         if 0 < j < cols - 1:
-            top += _rise(scores[i, j - 1], scores[i, j], scores[i, j + 1])
+            top += _compute_peak_rise(scores[i, j - 1], scores[i, j], scores[i, j + 1])
         tops[k] = top / max(lengths[k], 1e-30)
     return tops
 
 
 @kernel
-def _rise(before: float, middle: float, after: float) -> float:
+def _compute_peak_rise(before: float, middle: float, after: float) -> float:
     """Compute the height of the top of a parabola through three values over the middle one."""
     bend = before - 2.0 * middle + after
     return -0.125 * (after - before) ** 2 / bend if bend < 0.0 else 0.0
 
 
 @kernel
-def _put_centred(template: Float32Array, margin: int, padded: Float32Array) -> float:
+def _place_centred(template: Float32Array, margin: int, padded: Float32Array) -> float:
     """Put a template without its margin and mean into a corner; returns the root of its squares."""
     size = template.shape[0] - 2 * margin
     total = 0.0
@@ -281,7 +289,7 @@ def _put_centred(template: Float32Array, margin: int, padded: Float32Array) -> f
 
 
 @kernel
-def _greatest_ratio(sums: Float32Array, contrast: Float32Array) -> float:
+def _find_max_ratio(sums: Float32Array, contrast: Float32Array) -> float:
     """The greatest sum over contrast; sums of places beyond those of contrast do not count."""
     best = -np.inf
     for r in range(contrast.shape[0]):
@@ -292,7 +300,7 @@ def _greatest_ratio(sums: Float32Array, contrast: Float32Array) -> float:
     return best
 
 
-def _window_contrast(image: Filtered, size: int) -> Float32Array:
+def _measure_window_contrast(image: Filtered, size: int) -> Float32Array:
     """Root of summed squared differences to the mean of square windows; infinite without any."""
     rows, cols = image.values.shape
     contrast = np.empty((rows - size + 1, cols - size + 1), np.float32)
@@ -300,11 +308,11 @@ def _window_contrast(image: Filtered, size: int) -> Float32Array:
     return contrast
 
 
-@bare_kernel
+@inplace_kernel
 def _fill_contrast(
     image: Float32Array, size: int, floor: float, columns: FloatArray, contrast: Float32Array
 ) -> None:
-    """Fill `_window_contrast`; columns (2, cols), zeros on entry: sums over `size` rows."""
+    """Fill `_measure_window_contrast`; columns (2, cols), zeros on entry: sums over `size` rows."""
     sums, squares = columns[0], columns[1]
     nodes = size * size
     for row in range(image.shape[0]):
@@ -331,7 +339,7 @@ def _fill_contrast(
             squares[c] -= value * value
 
 
-def _parabola_peak(places: Sequence[float], values: FloatArray, index: int) -> float:
+def _locate_parabola_peak(places: Sequence[float], values: FloatArray, index: int) -> float:
     """Place of the maximum of a parabola through three neighbours; at the ends, the sample."""
     if not 0 < index < len(places) - 1:
         return float(places[index])

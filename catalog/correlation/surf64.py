@@ -17,7 +17,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.peak import RIVAL_DISTANCE, Match
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.kernel import inplace_kernel, kernel
 
 CELLS = 4  # a side: 4 x 4 cells of four sums are the 64 numbers
 # Bay et al. weight with sigma = 3.3 s on a square of 20 s: 3.3 / 20 of the side
@@ -34,7 +34,7 @@ REFINE_NODES = 3
 MAX_DISTANCE_RATIO = 0.9
 
 
-def _cell_sums(image: Float32Array, cell_px: int) -> Float32Array:
+def _sum_cells(image: Float32Array, cell_px: int) -> Float32Array:
     """Sums of dx, dy, |dx|, |dy| over the cell whose first node is (row, col): (rows, 4, cols).
 
     The Haar wavelet spans 2 x 2 nodes: its response belongs to the corner shared by them. The
@@ -47,7 +47,7 @@ def _cell_sums(image: Float32Array, cell_px: int) -> Float32Array:
     return out
 
 
-@bare_kernel
+@inplace_kernel
 def _fill_cell_sums(
     image: Float32Array,
     cell_px: int,
@@ -56,7 +56,7 @@ def _fill_cell_sums(
     total: Float32Array,
     out: Float32Array,
 ) -> None:
-    """Fill `_cell_sums`.
+    """Fill `_sum_cells`.
 
     haar     (cell_px, 4, cols)  responses of the rows that a cell spans; zeros on entry
     columns  (4 cols,)  their sums; zeros on entry
@@ -128,7 +128,7 @@ def _gather(
     return out
 
 
-def _similarities(
+def _compute_similarities(
     sums: Float32Array,
     own: Float32Array,
     first: int,
@@ -147,7 +147,7 @@ def _similarities(
     return out
 
 
-@bare_kernel
+@inplace_kernel
 def _fill_similarities(
     sums: Float32Array,
     own: Float32Array,
@@ -157,7 +157,7 @@ def _fill_similarities(
     room: Float32Array,
     out: Float32Array,
 ) -> None:
-    """Fill `_similarities` (positions, positions); room (2, positions) to work in."""
+    """Fill `_compute_similarities` (positions, positions); room (2, positions) to work in."""
     cells, positions = weights.shape[0], out.shape[0]
     products, squares = room[0], room[1]
     for p in range(positions):
@@ -183,14 +183,14 @@ def _fill_similarities(
 
 
 @cache
-def cell_weights(cells: int) -> Float32Array:
+def make_cell_weights(cells: int) -> Float32Array:
     """(cells, cells) Gaussian weights at the middles of the cells, largest near one."""
     middles = (np.arange(cells) + 0.5) / cells - 0.5
     line = np.exp(-0.5 * (middles / WEIGHT_SIGMA) ** 2)
     return np.outer(line, line).astype(np.float32)
 
 
-def descriptors(
+def compute_descriptors(
     image: Float32Array, rows: IntArray, cols: IntArray, cell_px: int, cells: int = CELLS
 ) -> Float32Array:
     """Descriptors of the squares of cells x cells cells of cell_px nodes about given nodes.
@@ -213,10 +213,10 @@ def descriptors(
         or cols.max() + behind > width - 1
     ):
         raise ValueError(f"a square of {cells * cell_px} nodes leaves the {height} x {width} image")
-    return _gather(_cell_sums(image, cell_px), rows, cols, cell_px, cell_weights(cells))
+    return _gather(_sum_cells(image, cell_px), rows, cols, cell_px, make_cell_weights(cells))
 
 
-def similarity_surface(reference: Float32Array, search: Float32Array) -> Float32Array:
+def compute_similarity_surface(reference: Float32Array, search: Float32Array) -> Float32Array:
     """Cosine of the descriptors of a reference and of every place where it fits into a search grid.
 
     reference (n, n), search (m, m) with m - n even, n >= MIN_SIDE.
@@ -226,36 +226,38 @@ def similarity_surface(reference: Float32Array, search: Float32Array) -> Float32
     n, m = reference.shape[0], search.shape[0]
     if reference.shape != (n, n) or search.shape != (m, m) or m < n or (m - n) % 2 or n < MIN_SIDE:
         raise ValueError(f"reference {reference.shape} cannot be centred in search {search.shape}")
-    cells, cell_px, margin = _layout(n)
+    cells, cell_px, margin = _plan_cells(n)
     at = np.array([margin + cells * cell_px // 2])
-    descriptor = descriptors(_smoothed(reference), at, at, cell_px, cells)[0]
-    sums = _cell_sums(_smoothed(search), cell_px)
-    return _similarities(sums, descriptor, margin, m - n + 1, cell_px, cell_weights(cells))
+    descriptor = compute_descriptors(_smooth(reference), at, at, cell_px, cells)[0]
+    sums = _sum_cells(_smooth(search), cell_px)
+    return _compute_similarities(
+        sums, descriptor, margin, m - n + 1, cell_px, make_cell_weights(cells)
+    )
 
 
-def own_similarity_surface(search: Float32Array, side: int) -> Float32Array:
-    """`similarity_surface` of a grid's middle square of `side` nodes; the middle element is 1.
+def compute_self_similarity_surface(search: Float32Array, side: int) -> Float32Array:
+    """Compute the similarity surface of a grid's middle square of `side` nodes; 1 in its middle.
 
-    Raises ValueError as `similarity_surface` does.
+    Raises ValueError as `compute_similarity_surface` does.
     """
     m = search.shape[0]
     if search.shape != (m, m) or m < side or (m - side) % 2 or side < MIN_SIDE:
         raise ValueError(f"a square of {side} cannot be centred in search {search.shape}")
-    cells, cell_px, margin = _layout(side)
-    sums, weights = _cell_sums(_smoothed(search), cell_px), cell_weights(cells)
+    cells, cell_px, margin = _plan_cells(side)
+    sums, weights = _sum_cells(_smooth(search), cell_px), make_cell_weights(cells)
     at = np.array([(m - side) // 2 + margin + cells * cell_px // 2])
     descriptor = _gather(sums, at, at, cell_px, weights)[0]
-    return _similarities(sums, descriptor, margin, m - side + 1, cell_px, weights)
+    return _compute_similarities(sums, descriptor, margin, m - side + 1, cell_px, weights)
 
 
-def _layout(side: int) -> tuple[int, int, int]:
+def _plan_cells(side: int) -> tuple[int, int, int]:
     """Cells a side, their nodes, and the nodes left over before the first, of a matched square."""
     cells = max(CELLS, round((side - 1) / MATCH_CELL_PX))
     cell_px = (side - 1) // cells
     return cells, cell_px, (side - 1 - cells * cell_px) // 2
 
 
-def _smoothed(grid: Float32Array) -> Float32Array:
+def _smooth(grid: Float32Array) -> Float32Array:
     single = grid.astype(np.float32, copy=False)
     return np.asarray(cv2.GaussianBlur(single, (0, 0), MATCH_SMOOTHING_NODES), dtype=np.float32)
 
@@ -263,7 +265,7 @@ def _smoothed(grid: Float32Array) -> Float32Array:
 def match_surf(reference: Float32Array, search: Float32Array, margin_nodes: int = 0) -> Match:
     """Find a reference in a search grid by SURF; its place and score are then correlation's.
 
-    Arguments as `similarity_surface`, margin_nodes as `match_ncc`: the descriptor leaves it out.
+    Arguments as `compute_similarity_surface`; margin_nodes as `match_ncc`, without descriptors.
     The descriptor's own value discriminates little (right 0.98, wrong up to 0.95), so the score is
     the correlation at the refined peak and the runner-up the correlation at the descriptor's best
     rival: both compare with those of `match_ncc`.
@@ -271,16 +273,16 @@ def match_surf(reference: Float32Array, search: Float32Array, margin_nodes: int 
     """
     inner = slice(margin_nodes, reference.shape[0] - margin_nodes)
     outer = slice(margin_nodes, search.shape[0] - margin_nodes)
-    surface = similarity_surface(reference[inner, inner], search[outer, outer])
+    surface = compute_similarity_surface(reference[inner, inner], search[outer, outer])
     row, col = (int(i) for i in np.unravel_index(int(np.argmax(surface)), surface.shape))
-    refined = _refined(reference, search, row, col, margin_nodes)
+    refined = _refine_match(reference, search, row, col, margin_nodes)
     rivals = surface.copy()
     near = RIVAL_DISTANCE
     rivals[max(row - near, 0) : row + near + 1, max(col - near, 0) : col + near + 1] = -2.0
     if rivals.max() <= -2.0:
         return refined._replace(runner_up=-1.0)
     rival_row, rival_col = (int(i) for i in np.unravel_index(int(np.argmax(rivals)), rivals.shape))
-    rival = _refined(reference, search, rival_row, rival_col, margin_nodes)
+    rival = _refine_match(reference, search, rival_row, rival_col, margin_nodes)
     # unit vectors: squared distance is 2 - 2 cosine
     ratio = np.sqrt(max(1.0 - surface[row, col], 0.0) / max(1.0 - rivals.max(), 1e-9))
     match = refined._replace(runner_up=min(rival.score, refined.score))
@@ -289,7 +291,7 @@ def match_surf(reference: Float32Array, search: Float32Array, margin_nodes: int 
     return match
 
 
-def _refined(
+def _refine_match(
     reference: Float32Array, search: Float32Array, row: int, col: int, margin_nodes: int
 ) -> Match:
     """Correlation within REFINE_NODES of an offset of the surface."""

@@ -57,7 +57,7 @@ class CellGrid:
         """Number of cells on the whole sphere."""
         return int(self.first_cell[-1])
 
-    def cell_of(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> IntArray:
+    def find_cells(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> IntArray:
         """Cell numbers of points; longitudes of any turn."""
         lat = np.clip(np.asarray(lat_deg, dtype=np.float64), -90.0, 90.0)
         band = np.clip(((lat + 90.0) / self.step_deg).astype(np.int64), 0, self.bands - 1)
@@ -66,23 +66,23 @@ class CellGrid:
         column = np.minimum((turn * count).astype(np.int64), count - 1)
         return np.asarray(self.first_cell[band] + column)
 
-    def band_of(self, cell: int) -> int:
+    def find_band(self, cell: int) -> int:
         """Latitude band of a cell number."""
-        return int(self.bands_of(np.array([cell]))[0])
+        return int(self.find_bands(np.array([cell]))[0])
 
-    def bands_of(self, cells: IntArray) -> IntArray:
+    def find_bands(self, cells: IntArray) -> IntArray:
         """(n,) latitude bands of cell numbers."""
         bands: IntArray = np.searchsorted(self.first_cell, cells, side="right") - 1
         return bands
 
     def bounds_deg(self, cell: int) -> tuple[float, float, float, float]:
         """West, south, east, north of a cell (deg, west in [-180, 180))."""
-        west, south, east, north = self.bounds_of(np.array([cell]))[:, 0].tolist()
+        west, south, east, north = self.compute_bounds_deg(np.array([cell]))[:, 0].tolist()
         return west, south, east, north
 
-    def bounds_of(self, cells: IntArray) -> FloatArray:
+    def compute_bounds_deg(self, cells: IntArray) -> FloatArray:
         """(4, n) the same of many cells."""
-        bands = self.bands_of(cells)
+        bands = self.find_bands(cells)
         count = self.cells_in_band[bands]
         south = -90.0 + self.step_deg * bands
         west = -180.0 + 360.0 * (cells - self.first_cell[bands]) / count
@@ -96,7 +96,7 @@ class CellGrid:
             return (90.0, 0.0) if north >= 90.0 else (-90.0, 0.0)
         return (south + north) / 2.0, float(wrap_longitude_deg((west + east) / 2.0))
 
-    def within(self, lat_deg: float, lon_deg: float, radius_deg: float) -> IntArray:
+    def find_cells_within(self, lat_deg: float, lon_deg: float, radius_deg: float) -> IntArray:
         """Numbers of all cells that may hold a point within `radius_deg` (a superset), sorted."""
         south, north = lat_deg - radius_deg, lat_deg + radius_deg
         # the pole itself would fall into a band beyond the last
@@ -119,7 +119,7 @@ class CellGrid:
             parts.append(start + np.arange(low, min(high, low + count - 1) + 1) % count)
         return np.unique(np.concatenate(parts)).astype(np.int64)
 
-    def in_bbox(self, west: float, south: float, east: float, north: float) -> IntArray:
+    def find_cells_in_bbox(self, west: float, south: float, east: float, north: float) -> IntArray:
         """Cells whose middle lies in a box (deg), sorted; west > east crosses ±180°."""
         cells = [np.empty(0, dtype=np.int64)]
         width = (east - west) % 360.0

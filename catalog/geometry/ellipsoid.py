@@ -16,14 +16,14 @@ CLOSE = 1e-15  # relative step of the root: nothing is left to gain
 MIN_GEODETIC = 0.5  # of the semi-axes from the centre: deeper inside normals may cross
 
 
-def normal_at(surface: ArrayLike, radii: ArrayLike) -> FloatArray:
+def compute_normals(surface: ArrayLike, radii: ArrayLike) -> FloatArray:
     """Outward unit normals (..., 3) at points (..., 3) of an ellipsoid of semi-axes (3,)."""
     gradient = np.asarray(surface, dtype=np.float64) / np.square(np.asarray(radii, np.float64))
     normals: FloatArray = gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
     return normals
 
 
-def surface_at(directions: ArrayLike, radii: ArrayLike) -> FloatArray:
+def project_to_surface(directions: ArrayLike, radii: ArrayLike) -> FloatArray:
     """Points (..., 3) where directions (..., 3) from the centre pierce an ellipsoid."""
     directions = np.asarray(directions, dtype=np.float64)
     scaled = np.linalg.norm(directions / np.asarray(radii, dtype=np.float64), axis=-1)
@@ -31,7 +31,7 @@ def surface_at(directions: ArrayLike, radii: ArrayLike) -> FloatArray:
     return surface
 
 
-def height_above(points: ArrayLike, up: ArrayLike, radii: ArrayLike) -> FloatArray:
+def measure_height_above(points: ArrayLike, up: ArrayLike, radii: ArrayLike) -> FloatArray:
     """Measure (...) from points (..., 3) along a unit vector (3,) to an ellipsoid's near side.
 
     NaN where the line along the vector misses the ellipsoid.
@@ -44,7 +44,7 @@ def height_above(points: ArrayLike, up: ArrayLike, radii: ArrayLike) -> FloatArr
         return np.asarray((np.sqrt(under) - b) / a)
 
 
-def foot_of(points: ArrayLike, radii: ArrayLike) -> FloatArray:
+def find_foot(points: ArrayLike, radii: ArrayLike) -> FloatArray:
     """The nearest points (..., 3) of an ellipsoid: where its normal goes through `points`.
 
     points (..., 3), radii (3,) semi-axes, same unit. Raises ValueError for the centre and points so
@@ -82,8 +82,8 @@ def geodetic_from_xyz(
     points, radii = np.asarray(points, np.float64), np.asarray(radii, np.float64)
     deep = np.linalg.norm(points / radii, axis=-1) < MIN_GEODETIC
     placed = np.where(deep[..., None], radii * (1.0, 0.0, 0.0), points)
-    foot = foot_of(placed, radii)
-    normal = normal_at(foot, radii)
+    foot = find_foot(placed, radii)
+    normal = compute_normals(foot, radii)
     lat, lon, _ = latlon_from_xyz(normal)
     height = ((placed - foot) * normal).sum(axis=-1)
     nothing = np.where(deep, np.nan, 0.0)

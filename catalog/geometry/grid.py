@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.kernel import inplace_kernel, kernel
 
 
 class _RowWork(NamedTuple):
@@ -28,7 +28,7 @@ class _RowWork(NamedTuple):
     target: Float32Array
 
 
-@bare_kernel
+@inplace_kernel
 def cubic_weights(t: float) -> tuple[float, float, float, float]:
     """Weights of the four neighbours for cubic convolution with a = -1/2 (Keys 1981)."""
     t2, t3 = t * t, t * t * t
@@ -40,8 +40,8 @@ def cubic_weights(t: float) -> tuple[float, float, float, float]:
     )
 
 
-@bare_kernel
-def _down_columns(
+@inplace_kernel
+def _interpolate_columns(
     grid: Float32Array,
     base: IntArray,
     past: Float32Array,
@@ -73,8 +73,8 @@ def _down_columns(
     return True
 
 
-@bare_kernel
-def _along_line(
+@inplace_kernel
+def _average_along_line(
     line: Float32Array,
     cols: FloatArray,
     width: float,
@@ -142,7 +142,7 @@ def sample_rows(
     return _sample_each_row(grid, row, col, fit, wide, steepest, work, out)
 
 
-@bare_kernel
+@inplace_kernel
 def _sample_each_row(
     grid: Float32Array,
     row: FloatArray,
@@ -183,14 +183,14 @@ def _sample_each_row(
                 base[c] = int(crossed)
                 past[c] = np.float32(crossed - base[c])
                 c += 1
-        if not _down_columns(grid, base, past, (first, last), line):
+        if not _interpolate_columns(grid, base, past, (first, last), line):
             return False
-        _along_line(line, cols, wide[m], samples, work, out[m])
+        _average_along_line(line, cols, wide[m], samples, work, out[m])
     return True
 
 
-@bare_kernel
-def bilinear(grid: Float32Array, row: float, col: float) -> float:
+@inplace_kernel
+def interpolate_bilinear(grid: Float32Array, row: float, col: float) -> float:
     """Value between four nodes; the place must lie inside."""
     r = min(max(int(row), 0), grid.shape[0] - 2)
     c = min(max(int(col), 0), grid.shape[1] - 2)
@@ -200,8 +200,8 @@ def bilinear(grid: Float32Array, row: float, col: float) -> float:
     return float(upper + y * (lower - upper))
 
 
-@bare_kernel
-def _bilinear_at(grid: Float32Array, row: float, col: float) -> float:
+@inplace_kernel
+def _interpolate_near_holes(grid: Float32Array, row: float, col: float) -> float:
     rows, cols = grid.shape
     # half a cell beyond the outer nodes still belongs to the outer pixels
     if not (-0.5 <= row <= rows - 0.5 and -0.5 <= col <= cols - 0.5):
@@ -227,12 +227,12 @@ def _bilinear_at(grid: Float32Array, row: float, col: float) -> float:
     return total / weight
 
 
-@bare_kernel
-def bicubic_at(grid: Float32Array, row: float, col: float) -> float:
+@inplace_kernel
+def interpolate_bicubic(grid: Float32Array, row: float, col: float) -> float:
     """Cubic convolution at one place; bilinear at the border and beside holes; NaN outside."""
     rows, cols = grid.shape
     if not (1.0 <= row < rows - 2.0 and 1.0 <= col < cols - 2.0):
-        return _bilinear_at(grid, row, col)
+        return _interpolate_near_holes(grid, row, col)
     r, c = int(row), int(col)
     wr, wc = cubic_weights(row - r), cubic_weights(col - c)
     total = 0.0
@@ -242,7 +242,7 @@ def bicubic_at(grid: Float32Array, row: float, col: float) -> float:
             line += wc[j] * grid[r - 1 + i, c - 1 + j]
         total += wr[i] * line
     if total != total:
-        return _bilinear_at(grid, row, col)
+        return _interpolate_near_holes(grid, row, col)
     return total
 
 
@@ -250,7 +250,7 @@ def bicubic_at(grid: Float32Array, row: float, col: float) -> float:
 def _sample_flat(grid: Float32Array, row: FloatArray, col: FloatArray) -> Float32Array:
     out = np.empty(row.size, np.float32)
     for i in range(row.size):
-        out[i] = bicubic_at(grid, row[i], col[i])
+        out[i] = interpolate_bicubic(grid, row[i], col[i])
     return out
 
 

@@ -38,10 +38,10 @@ _warned: set[str] = set()
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a single-threaded kernel; it releases the interpreter's lock."""
-    return _compiled(function, _nrt=True)
+    return _compile(function, _nrt=True)
 
 
-def bare_kernel(function: Callable[P, R]) -> Callable[P, R]:
+def inplace_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a kernel that makes no array and returns none: it works on those of its caller.
 
     It counts no references. Numba counts them for every array that is handed on or sliced, by
@@ -51,15 +51,15 @@ def bare_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """
     if "ndarray" in str(function.__annotations__.get("return")):
         raise TypeError(f"{function.__qualname__} returns an array: its references are counted")
-    return _compiled(function, _nrt=False)
+    return _compile(function, _nrt=False)
 
 
 def parallel_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a kernel whose `numba.prange` loops run on all threads that the process allows."""
-    return _compiled(function, _nrt=True, parallel=True)
+    return _compile(function, _nrt=True, parallel=True)
 
 
-def _compiled(function: Callable[P, R], **options: bool) -> Callable[P, R]:
+def _compile(function: Callable[P, R], **options: bool) -> Callable[P, R]:
     njit: Any = numba.njit  # its types differ from version to version
     compiled = njit(nogil=True, error_model="numpy", **options)(function)
     if not _is_cached(compiled):
@@ -74,16 +74,16 @@ def _is_cached(compiled: Any) -> bool:
     except RuntimeError:  # numba finds no folder that it may write to
         return False
     # numba's own guard against the faults of a folder is for Windows alone
-    compiled._cache._guard_against_spurious_io_errors = _without_cache
+    compiled._cache._guard_against_spurious_io_errors = _handle_cache_faults
     # and its key knows the kernel's own file alone, not those of the kernels that it calls
     own_key = compiled._cache._index_key
-    compiled._cache._index_key = lambda *of: (*own_key(*of), _called_code(compiled.py_func))
-    _forget_moved_types(compiled._cache._cache_file)
+    compiled._cache._index_key = lambda *of: (*own_key(*of), _hash_called_code(compiled.py_func))
+    _skip_moved_types(compiled._cache._cache_file)
     _compile_in_turn(compiled._cache, compiled.py_func.__qualname__)
     return True
 
 
-def _forget_moved_types(file: Any) -> None:
+def _skip_moved_types(file: Any) -> None:
     """Take a cache of a former version that names types of modules gone since for an empty one."""
     load_index = file._load_index
 
@@ -149,7 +149,7 @@ def _lock_file(folder: str) -> int:
 
 
 @cache
-def _called_code(function: FunctionType) -> str:
+def _hash_called_code(function: FunctionType) -> str:
     """Hash of all code and constants of ours that a kernel is compiled from."""
     digest, waiting, seen = hashlib.sha256(), [function], {function}
     while waiting:
@@ -158,7 +158,7 @@ def _called_code(function: FunctionType) -> str:
         constants = [value for value in code.co_consts if not isinstance(value, CodeType)]
         digest.update(f"{current.__qualname__} {constants}".encode())
         digest.update(code.co_code)
-        for name, value in _globals_of(current):
+        for name, value in _iterate_globals(current):
             called = getattr(value, "py_func", None)
             if isinstance(called, FunctionType):
                 if called not in seen:
@@ -173,7 +173,7 @@ def _called_code(function: FunctionType) -> str:
     return digest.hexdigest()
 
 
-def _globals_of(function: FunctionType) -> Iterator[tuple[str, object]]:
+def _iterate_globals(function: FunctionType) -> Iterator[tuple[str, object]]:
     """The global names of a function and, of modules of ours among them, what it takes of them."""
     names = function.__code__.co_names
     for name in names:
@@ -185,7 +185,7 @@ def _globals_of(function: FunctionType) -> Iterator[tuple[str, object]]:
 
 
 @contextmanager
-def _without_cache() -> Iterator[None]:
+def _handle_cache_faults() -> Iterator[None]:
     """Compile anew what the cache cannot give, and keep what it does not take in memory alone."""
     try:
         yield
@@ -196,7 +196,7 @@ def _without_cache() -> Iterator[None]:
 @cache
 def _use_temporary_cache() -> None:
     """Let numba cache in a temporary folder from here on, in worker processes, too."""
-    folder = _temporary_folder()
+    folder = _make_temporary_folder()
     if folder is None:
         kept = "they are compiled anew in each process"
     else:
@@ -214,7 +214,7 @@ def _warn(message: str, detail: object) -> None:
     _warned.add(message)
 
 
-def _temporary_folder() -> Path | None:
+def _make_temporary_folder() -> Path | None:
     """A folder of this user alone: code is loaded from it, which nobody else may put there."""
     try:
         folder = Path(tempfile.gettempdir()) / f"optnav-numba-{os.getuid()}"

@@ -22,15 +22,15 @@ MIN_AREA_DEG2 = 1e-12  # less is what rounding leaves along a cut
 Follow = Callable[[float, float], FloatArray]
 
 
-def line_pieces(directions: FloatArray) -> list[FloatArray]:
+def split_line(directions: FloatArray) -> list[FloatArray]:
     """A line through directions (n, 3) of any length as lines (m, 2) of lon, lat in degrees."""
-    lon_lat = _on_map(_refined(directions, closed=False))
-    turns = _turn(lon_lat[:, 0])
+    lon_lat = _project_to_map(_refine_directions(directions, closed=False))
+    turns = _count_turns(lon_lat[:, 0])
     pieces, current = [], [lon_lat[0]]
     for number, (start, end) in enumerate(pairwise(lon_lat)):
         turn, next_turn = turns[number : number + 2]
         if turn != next_turn:
-            _, crossing = _crossing(start, end, turn, next_turn)
+            _, crossing = _find_crossing(start, end, turn, next_turn)
             pieces.append(np.array([*current, crossing]) - [360.0 * turn, 0.0])
             current = [crossing]
         current.append(end)
@@ -38,42 +38,46 @@ def line_pieces(directions: FloatArray) -> list[FloatArray]:
     return [piece for piece in pieces if np.ptp(piece, axis=0).any()]
 
 
-def area_pieces(ring: FloatArray) -> list[FloatArray]:
+def split_area(ring: FloatArray) -> list[FloatArray]:
     """An area as closed rings (m, 2) of lon, lat in degrees, counter-clockwise.
 
     ring  (n, 3) directions of any length around the area, which lies at the left of who walks on
           the sphere; the last is joined to the first. The area is less than half of the sphere.
     """
-    lon_lat = _on_map(_refined(ring, closed=True))
+    lon_lat = _project_to_map(_refine_directions(ring, closed=True))
     corners = lon_lat[:-1]
     round_the_pole = lon_lat[-1, 0] - lon_lat[0, 0]
     if abs(round_the_pole) > 180.0:  # eastward with the area at the left: about the north pole
-        corners = _to_the_pole(lon_lat, math.copysign(360.0, round_the_pole))
-    turns = _turn(corners[:, 0])
+        corners = _extend_to_pole(lon_lat, math.copysign(360.0, round_the_pole))
+    turns = _count_turns(corners[:, 0])
     pieces = []
     for turn in range(int(turns.min()), int(turns.max()) + 1):
         low = 360.0 * turn - 180.0
         for part in clip_ring(corners, corners[:, 0] - low, lambda p: -p[:, 1]):
             high = low + 360.0 - part[:, 0]
-            pieces += [piece - [360.0 * turn, 0.0] for piece in clip_ring(part, high, _latitude)]
-    return [np.vstack([piece, piece[:1]]) for piece in pieces if _area(piece) > MIN_AREA_DEG2]
+            pieces += [
+                piece - [360.0 * turn, 0.0] for piece in clip_ring(part, high, _take_latitude)
+            ]
+    return [
+        np.vstack([piece, piece[:1]]) for piece in pieces if _compute_area(piece) > MIN_AREA_DEG2
+    ]
 
 
-def _to_the_pole(lon_lat: FloatArray, way_round: float) -> FloatArray:
+def _extend_to_pole(lon_lat: FloatArray, way_round: float) -> FloatArray:
     """A ring (n, 2) about a pole, its last point a turn from its first, with the way to the pole.
 
     It begins and ends at the map's edge, so that no seam is left inside of the map.
     """
-    turns = _turn(lon_lat[:, 0])
+    turns = _count_turns(lon_lat[:, 0])
     here = int(np.flatnonzero(np.diff(turns))[0])
-    edge, crossing = _crossing(lon_lat[here], lon_lat[here + 1], turns[here], turns[here + 1])
+    edge, crossing = _find_crossing(lon_lat[here], lon_lat[here + 1], turns[here], turns[here + 1])
     turned = lon_lat[1 : here + 1] + [way_round, 0.0]
     end, pole = edge + way_round, math.copysign(90.0, way_round)
     ring = [crossing], lon_lat[here + 1 :], turned, [[end, crossing[1]], [end, pole], [edge, pole]]
     return np.vstack(ring)
 
 
-def _crossing(
+def _find_crossing(
     start: FloatArray, end: FloatArray, turn: float, next_turn: float
 ) -> tuple[float, FloatArray]:
     """Where a step crosses the map's edge: the longitude, and the point."""
@@ -103,7 +107,7 @@ def clip_ring(
     inside = depth > 0.0
     if inside.all():
         return [ring]
-    chains = _chains(ring, depth, inside)
+    chains = _collect_chains(ring, depth, inside)
     if not chains:
         return []
     entries = along(np.array([chain[0] for chain in chains]))
@@ -126,7 +130,7 @@ def clip_ring(
     return pieces
 
 
-def _chains(ring: FloatArray, depth: FloatArray, inside: BoolArray) -> list[FloatArray]:
+def _collect_chains(ring: FloatArray, depth: FloatArray, inside: BoolArray) -> list[FloatArray]:
     """The runs of corners inside, each from where the ring comes in to where it goes out."""
     order = (np.arange(len(ring)) + int(np.argmin(inside))) % len(ring)  # begin outside
     chains, current = [], []
@@ -142,7 +146,7 @@ def _chains(ring: FloatArray, depth: FloatArray, inside: BoolArray) -> list[Floa
     return chains
 
 
-def _refined(directions: FloatArray, closed: bool) -> FloatArray:
+def _refine_directions(directions: FloatArray, closed: bool) -> FloatArray:
     """Unit vectors with more between them where the map's straight lines are off."""
     points = unit(directions)
     if closed:
@@ -164,22 +168,22 @@ def _refined(directions: FloatArray, closed: bool) -> FloatArray:
     return points
 
 
-def _on_map(points: FloatArray) -> FloatArray:
+def _project_to_map(points: FloatArray) -> FloatArray:
     """Longitudes without jumps, and latitudes, of unit vectors (n, 3), degrees (n, 2)."""
     lat, lon, _ = latlon_from_xyz(points)
     return np.degrees(np.column_stack([np.unwrap(lon), lat]))
 
 
-def _latitude(points: FloatArray) -> FloatArray:
+def _take_latitude(points: FloatArray) -> FloatArray:
     return points[:, 1]
 
 
-def _turn(lon_deg: FloatArray) -> FloatArray:
+def _count_turns(lon_deg: FloatArray) -> FloatArray:
     """Count the turns that longitudes (n,) lie east of -180 to 180 degrees."""
     return np.floor((lon_deg + 180.0) / 360.0)
 
 
-def _area(ring: FloatArray) -> float:
+def _compute_area(ring: FloatArray) -> float:
     """Area (deg^2) of a ring on the map, positive where it goes counter-clockwise."""
     x, y = ring.T
     return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2.0

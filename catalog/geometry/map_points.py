@@ -7,7 +7,7 @@ from catalog.geometry.kernel import kernel
 
 
 @kernel
-def points_of_map(
+def compute_map_points(
     x: FloatArray, y: FloatArray, height: FloatArray, radius: float, body_from_local: FloatArray
 ) -> FloatArray:
     """Body-fixed points (n, 3) of a stereographic map, in one pass; see `local_directions`."""
@@ -24,10 +24,10 @@ def points_of_map(
 
 
 @kernel
-def points_of_nodes(
+def compute_node_points(
     offsets: FloatArray, heights: Float32Array, radius: float, body_from_local: FloatArray
 ) -> FloatArray:
-    """`points_of_map` (n, n, 3) of the nodes of a centred grid; offsets (n,) of its columns."""
+    """Compute points (n, n, 3) of the nodes of a centred grid; offsets (n,) of its columns."""
     size = offsets.size
     out = np.empty((size, size, 3))
     m = body_from_local

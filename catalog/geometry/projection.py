@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.geometry.ellipsoid import foot_of, normal_at
+from catalog.geometry.ellipsoid import compute_normals, find_foot
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.vectors import unit
 
@@ -102,19 +102,19 @@ class Stereographic:
     def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
         """Body-fixed points (..., 3), m, of map points x, y and heights above the sphere."""
         # a command that only lists points need not wait for the compiler to load
-        from catalog.geometry.map_points import points_of_map
+        from catalog.geometry.map_points import compute_map_points
 
         x, y, height = np.broadcast_arrays(x, y, height)
         east, north, above = (np.ravel(part).astype(np.float64) for part in (x, y, height))
-        points = points_of_map(east, north, above, self.radius_m, self.body_from_local)
+        points = compute_map_points(east, north, above, self.radius_m, self.body_from_local)
         return points.reshape(*x.shape, 3)
 
     def nodes(self, heights: Float32Array, posting_m: float) -> FloatArray:
         """Body-fixed points (n, n, 3), m, of a centred grid of heights (n, n), north up."""
-        from catalog.geometry.map_points import points_of_nodes
+        from catalog.geometry.map_points import compute_node_points
 
-        offsets = node_offsets(len(heights), posting_m)
-        return points_of_nodes(offsets, heights, self.radius_m, self.body_from_local)
+        offsets = make_node_offsets(len(heights), posting_m)
+        return compute_node_points(offsets, heights, self.radius_m, self.body_from_local)
 
     def latlon(self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0) -> Angles:
         """Latitude and east longitude (rad) of map points x, y (m), whatever their height."""
@@ -170,15 +170,15 @@ class TangentPlane:
     foot_m: tuple[float, float, float]
 
     @classmethod
-    def below(cls, point_m: ArrayLike, radii_m: ArrayLike) -> "TangentPlane":
+    def make_below(cls, point_m: ArrayLike, radii_m: ArrayLike) -> "TangentPlane":
         """The plane whose normal goes through a point (3,) m; radii_m (3,) of the ellipsoid."""
-        foot = foot_of(point_m, radii_m)
-        lat, lon, _ = latlon_from_xyz(normal_at(foot, radii_m))
+        foot = find_foot(point_m, radii_m)
+        lat, lon, _ = latlon_from_xyz(compute_normals(foot, radii_m))
         x, y, z = foot.tolist()
         return cls(float(lat), float(lon), (x, y, z))
 
     @classmethod
-    def through(cls, point_m: FloatArray, lat: float, lon: float) -> "TangentPlane":
+    def make_through(cls, point_m: FloatArray, lat: float, lon: float) -> "TangentPlane":
         """The plane through a point (3,) m whose normal has a latitude and longitude (rad)."""
         x, y, z = point_m.tolist()
         return cls(lat, lon, (x, y, z))
@@ -202,7 +202,7 @@ class TangentPlane:
 
     def nodes(self, heights: Float32Array, posting_m: float) -> FloatArray:
         """Body-fixed points (n, n, 3), m, of a centred grid of heights (n, n), north up."""
-        return self.points(*node_grid(len(heights), posting_m), heights)
+        return self.points(*make_node_grid(len(heights), posting_m), heights)
 
     def latlon(self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0) -> Angles:
         """Planetocentric latitude and east longitude (rad) of map points at heights (m)."""
@@ -232,14 +232,14 @@ class TangentPlane:
         return local
 
 
-def node_offsets(size: int, posting_m: float) -> FloatArray:
+def make_node_offsets(size: int, posting_m: float) -> FloatArray:
     """Map x of the columns of a centred grid (m); the rows' y are its negative."""
     nodes = np.arange(size, dtype=np.float64)
     return (nodes - (size - 1) / 2.0) * posting_m
 
 
-def node_grid(size: int, posting_m: float) -> tuple[FloatArray, FloatArray]:
+def make_node_grid(size: int, posting_m: float) -> tuple[FloatArray, FloatArray]:
     """Map x (east) and y (north) of all nodes, each (size, size); row 0 is the northernmost."""
-    offsets = node_offsets(size, posting_m)
+    offsets = make_node_offsets(size, posting_m)
     x, y = np.meshgrid(offsets, -offsets)
     return x, y

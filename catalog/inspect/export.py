@@ -24,7 +24,7 @@ from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.errors import DataError, OutputError
 from catalog.files import check_file, replacing_file, starts_with, write_output
-from catalog.geometry.projection import node_grid
+from catalog.geometry.projection import make_node_grid
 from catalog.inspect.summary import shift_document
 from catalog.rasters import DESCRIPTION, encode_geotiff, is_described
 from catalog.store.comparison import insert_shifts
@@ -232,7 +232,7 @@ def patch_solid(catalog: Catalog, point_id: int, level: int) -> tuple[FloatArray
             "ground; a solid wants whole ground: choose another level or point"
         )
     size = patch.size
-    x, y = node_grid(size, patch.posting_m)
+    x, y = make_node_grid(size, patch.posting_m)
     heights = patch.heights_m.astype(np.float64)
     base = np.full_like(heights, heights.min() - BASE_SHARE * size * patch.posting_m)
     projection = catalog.meta.projection(point)

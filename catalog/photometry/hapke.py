@@ -76,13 +76,13 @@ def opposition_surge(cos_g: float, bs0: float, hs: float) -> float:
 
 
 @kernel
-def _e1_e2(cot_x: float, cot_theta: float) -> tuple[float, float]:
+def _compute_e1_e2(cot_x: float, cot_theta: float) -> tuple[float, float]:
     e1 = math.exp(-2.0 / math.pi * cot_theta * cot_x)
     return e1, math.exp(-cot_theta * cot_theta * cot_x * cot_x / math.pi)
 
 
 @kernel
-def rough_cosines(
+def compute_rough_cosines(
     mu0: float, mu: float, cos_g: float, tan_theta: float
 ) -> tuple[float, float, float]:
     """Effective cosines of incidence and emission, and the shadowing S, of a rough surface.
@@ -108,8 +108,8 @@ def rough_cosines(
     chi = 1.0 / math.sqrt(1.0 + math.pi * tan_theta * tan_theta)
     cot_i = mu0 / max(sin_i, 1e-9)
     cot_e = mu / max(sin_e, 1e-9)
-    e1_i, e2_i = _e1_e2(cot_i, cot_theta)
-    e1_e, e2_e = _e1_e2(cot_e, cot_theta)
+    e1_i, e2_i = _compute_e1_e2(cot_i, cot_theta)
+    e1_e, e2_e = _compute_e1_e2(cot_e, cot_theta)
     eta_i = chi * (mu0 + sin_i * tan_theta * e2_i / (2.0 - e1_i))
     eta_e = chi * (mu + sin_e * tan_theta * e2_e / (2.0 - e1_e))
     if mu0 >= mu:  # i <= e: the facets that hide are tilted by the view
@@ -130,7 +130,7 @@ def reflectance_scalar(mu0: float, mu: float, cos_phase: float, surface: HapkePa
     """Radiance factor (pi r) of one geometry; zero with the Sun or the camera below the surface."""
     if mu0 <= 0.0 or mu <= 0.0:
         return 0.0
-    mu0e, mue, shadowing = rough_cosines(mu0, mu, cos_phase, math.tan(surface.theta_bar))
+    mu0e, mue, shadowing = compute_rough_cosines(mu0, mu, cos_phase, math.tan(surface.theta_bar))
     # far from the Sun's plane at grazing light the effective cosines may round to just below zero
     mu0e, mue = max(mu0e, 0.0), max(mue, 0.0)
     if mu0e + mue <= 0.0:
@@ -143,14 +143,14 @@ def reflectance_scalar(mu0: float, mu: float, cos_phase: float, surface: HapkePa
 
 
 @kernel
-def _reflectance_flat(cosines: FloatArray, surface: HapkeParameters) -> FloatArray:
+def _evaluate_flat(cosines: FloatArray, surface: HapkeParameters) -> FloatArray:
     out = np.empty(cosines.shape[1])
     for i in range(out.size):
         out[i] = reflectance_scalar(cosines[0, i], cosines[1, i], cosines[2, i], surface)
     return out
 
 
-def broadcast_cosines(mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> FloatArray:
+def stack_cosines(mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> FloatArray:
     """(3, ...) cosines of incidence, emission and phase, broadcast against each other."""
     return np.stack(np.broadcast_arrays(mu0, mu, cos_phase)).astype(np.float64)
 
@@ -164,5 +164,5 @@ def reflectance(
     surface             Hapke's parameters
     Returns the broadcast shape; zero where mu0 <= 0 or mu <= 0.
     """
-    cosines = broadcast_cosines(mu0, mu, cos_phase)
-    return _reflectance_flat(cosines.reshape(3, -1), surface).reshape(cosines.shape[1:])
+    cosines = stack_cosines(mu0, mu, cos_phase)
+    return _evaluate_flat(cosines.reshape(3, -1), surface).reshape(cosines.shape[1:])

@@ -19,7 +19,7 @@ from catalog.arrays import FloatArray
 from catalog.errors import ConfigError
 from catalog.geometry.kernel import kernel
 from catalog.photometry import hapke
-from catalog.photometry.hapke import HapkeParameters, broadcast_cosines
+from catalog.photometry.hapke import HapkeParameters, stack_cosines
 
 NORMAL_ALBEDO = 0.12  # the Moon's geometric albedo in V (Allen's Astrophysical Quantities, 4th ed.)
 HAPKE, LOMMEL_SEELIGER, LUNAR_LAMBERT, LAMBERT = 0, 1, 2, 3  # numbers of the laws in kernels
@@ -63,18 +63,18 @@ def lunar_weight(cos_phase: float) -> float:
     Beyond 103 deg of phase the cubic is negative, and would make ground that faces the Sun dark;
     there L is held at 0, pure Lambert (ours).
     """
-    return lunar_weight_of(math.degrees(math.acos(min(max(cos_phase, -1.0), 1.0))))
+    return compute_lunar_weight(math.degrees(math.acos(min(max(cos_phase, -1.0), 1.0))))
 
 
 @kernel
-def lunar_weight_of(g: float) -> float:
+def compute_lunar_weight(g: float) -> float:
     """Compute the share L of the Lommel-Seeliger term from the phase, deg."""
     weight = 1.0 + g * (-0.019 + g * (0.242e-3 - 1.46e-6 * g))
     return weight if (weight > 0.0) & (g < 110.0) else 0.0
 
 
 @kernel
-def phase_degrees(cosine: float) -> float:
+def compute_phase_degrees(cosine: float) -> float:
     """An arc cosine, deg, by a polynomial: right to 2e-8 rad, and a loop of it can be vectors.
 
     The root over 1 - x takes out the singularity at 1; the polynomial is Hastings' of degree 7.
@@ -97,7 +97,7 @@ def lunar_lambert_scalar(mu0: float, mu: float, cos_phase: float, albedo: float)
 
 
 @kernel
-def reflectance_by_law(mu0: float, mu: float, cos_phase: float, law: SurfaceLaw) -> float:
+def evaluate_law(mu0: float, mu: float, cos_phase: float, law: SurfaceLaw) -> float:
     """Radiance factor of one geometry by a law's number."""
     if law.number == HAPKE:
         return hapke.reflectance_scalar(mu0, mu, cos_phase, law.surface)
@@ -109,14 +109,14 @@ def reflectance_by_law(mu0: float, mu: float, cos_phase: float, law: SurfaceLaw)
 
 
 @kernel
-def _reflectance_flat(cosines: FloatArray, law: SurfaceLaw) -> FloatArray:
+def _evaluate_flat(cosines: FloatArray, law: SurfaceLaw) -> FloatArray:
     out = np.empty(cosines.shape[1])
     for i in range(out.size):
-        out[i] = reflectance_by_law(cosines[0, i], cosines[1, i], cosines[2, i], law)
+        out[i] = evaluate_law(cosines[0, i], cosines[1, i], cosines[2, i], law)
     return out
 
 
-def _reflectance(
+def _evaluate_simple_law(
     number: int, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, albedo: float = NORMAL_ALBEDO
 ) -> FloatArray:
     """Radiance factor by a simple law; zero where mu0 <= 0 or mu <= 0.
@@ -124,14 +124,14 @@ def _reflectance(
     mu0, mu, cos_phase  cosines of incidence, emission and phase; shapes broadcast
     albedo              normal albedo
     """
-    cosines = broadcast_cosines(mu0, mu, cos_phase)
+    cosines = stack_cosines(mu0, mu, cos_phase)
     law = SurfaceLaw(number, hapke.LUNAR, float(albedo))
-    return _reflectance_flat(cosines.reshape(3, -1), law).reshape(cosines.shape[1:])
+    return _evaluate_flat(cosines.reshape(3, -1), law).reshape(cosines.shape[1:])
 
 
-lambert = partial(_reflectance, LAMBERT)
-lommel_seeliger = partial(_reflectance, LOMMEL_SEELIGER)
-lunar_lambert = partial(_reflectance, LUNAR_LAMBERT)
+lambert = partial(_evaluate_simple_law, LAMBERT)
+lommel_seeliger = partial(_evaluate_simple_law, LOMMEL_SEELIGER)
+lunar_lambert = partial(_evaluate_simple_law, LUNAR_LAMBERT)
 LAWS: dict[str, Law] = {
     "hapke": hapke.reflectance,
     "lommel_seeliger": lommel_seeliger,
@@ -141,7 +141,7 @@ LAWS: dict[str, Law] = {
 LAW_NUMBERS = {name: number for number, name in enumerate(LAWS)}
 
 
-def law_by_name(name: str) -> Law:
+def find_law(name: str) -> Law:
     """The function reflectance(mu0, mu, cos_phase) of a law.
 
     Raises ConfigError for a name that is no law.

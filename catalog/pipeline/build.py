@@ -33,7 +33,7 @@ from catalog.places import claimed
 from catalog.progress import Progress, SilentProgress, logged_stage
 from catalog.store.connection import SIDECARS, is_catalog_file
 from catalog.store.patches import PreparedPoint
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 
 STAGES = ("ingest", "render", "select", "check", "write")
 
@@ -133,7 +133,7 @@ class _Build:
             self.workers = workers_of(self.count)
         else:  # self.count threads read terrain models, here
             names = [dem.path for dem in config.dem] + [mesh.path for mesh in config.mesh]
-            named = [path_of(name, source.path.parent) for name in names]
+            named = [resolve_path(name, source.path.parent) for name in names]
             self.workers = cluster_workers(scheduler, [workspace.path(MARK), *named])
         self.account = Account(f"optnav {catalog.__version__}", self.workers.count)
 

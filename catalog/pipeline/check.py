@@ -23,7 +23,7 @@ from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.localisation import uniqueness_margin
 from catalog.selection.trial import Outcome
 from catalog.store.patches import PreparedPoint, prepare_point
-from catalog.terrain.skyline.local import skyline_limits_deg
+from catalog.terrain.skyline.local import compute_skyline_limits_deg
 
 # Room on every side of the square that uniqueness describes, nodes of its level.
 UNIQUENESS_ROOM = 8
@@ -66,7 +66,7 @@ class Certificate:
     @cached_property
     def _beyond(self) -> tuple[Patch, ...]:
         """Ground beyond the coarsest patch that throws shadows in."""
-        return self._context.beyond(self._projection)
+        return self._context.make_outer_patches(self._projection)
 
     @cached_property
     def _outcomes(self) -> Iterator[Outcome]:
@@ -98,7 +98,7 @@ class Certificate:
             flags |= Flag.OVERHANG
         if flags & self._fatal:
             return flags
-        self.shadow_limits_deg = skyline_limits_deg(
+        self.shadow_limits_deg = compute_skyline_limits_deg(
             [(patch.heights_m, patch.posting_m) for patch in (*self.patches, *self._beyond)],
             0,
             self._projection.radius_m,

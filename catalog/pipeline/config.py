@@ -311,7 +311,7 @@ def _ground_problems(config: BuildConfig) -> Iterator[str]:
             yield "[[dem]] scale is 0; wanted the height of one count"
     sections: list[DemSection | MeshSection] = [*config.dem, *config.mesh]
     for section in sections:
-        problem = stated_error(section).problem(of_mesh=bool(config.mesh))
+        problem = stated_error(section).find_problem(of_mesh=bool(config.mesh))
         if problem:
             yield f"{'[[mesh]]' if config.mesh else '[[dem]]'} {section.path}: {problem}"
     if config.relief.dem is not None and not config.relief.dem.path:

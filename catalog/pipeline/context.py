@@ -123,9 +123,9 @@ class StageContext:
         """Latitude of a place's vertical over the equator, on which the Suns that occur depend."""
         return self.projection(lat_deg, lon_deg).sun_latitude_deg(lat_deg)
 
-    def beyond(self, projection: MapProjection) -> tuple[Patch, ...]:
+    def make_outer_patches(self, projection: MapProjection) -> tuple[Patch, ...]:
         """Ground beyond the coarsest patch that throws shadows in, finer first."""
-        grids = self.mosaic.beyond(projection, self.postings_m[-1], self.size)
+        grids = self.mosaic.make_outer_grids(projection, self.postings_m[-1], self.size)
         return tuple(Patch(posting, heights) for heights, posting in grids)
 
     def patches(self, lat_deg: float, lon_deg: float) -> tuple[Patch, ...]:

@@ -22,13 +22,13 @@ from catalog.pipeline.config import DemSection, PyramidSettings
 from catalog.pipeline.context import DemRecord, IngestRun
 from catalog.pipeline.relief import ReliefRecord, make_or_keep
 from catalog.store.relief import prepare_relief
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import METRES, DemSettings, DemSource
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.refine import FINEST_FACES, smooth_corners
 from catalog.terrain.mesh.shape import Shape, load_shape
-from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
+from catalog.terrain.mesh.terrain import MeshTerrain, make_mesh_relief
 from catalog.terrain.pyramid.overviews import FORMAT
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 from catalog.terrain.terrain import Terrain
@@ -148,7 +148,7 @@ def covered_cells(mosaic: Terrain, grid: CellGrid, bbox: Bbox | None) -> IntArra
     if bbox is None:
         # a body has tens of millions of small cells, and a terrain model may show few of them
         south, north = np.degrees(mosaic.latitudes)
-        cells = grid.in_bbox(-180.0, south - grid.step_deg, 180.0, north + grid.step_deg)
+        cells = grid.find_cells_in_bbox(-180.0, south - grid.step_deg, 180.0, north + grid.step_deg)
     else:
         west, south, east, north = bbox
         wide = np.isfinite([west, east]).all() and west != east
@@ -156,7 +156,7 @@ def covered_cells(mosaic: Terrain, grid: CellGrid, bbox: Bbox | None) -> IntArra
             raise UsageError(
                 f"--bbox {_text(bbox)}: wanted W,S,E,N in degrees with S < N, both within -90..90"
             )
-        cells = grid.in_bbox(west, south, east, north)
+        cells = grid.find_cells_in_bbox(west, south, east, north)
     covered = np.zeros(cells.size, dtype=bool)
     # any point of the lattice: asked of overviews about as coarse as the lattice
     step_m = np.radians(grid.step_deg) * mosaic.body.radius_m / LATTICE
@@ -196,7 +196,7 @@ def chunks_of(grid: CellGrid, cells: IntArray) -> list[list[int]]:
 
     def place(cell: int) -> tuple[int, int, int]:
         _, lon = grid.centre_deg(cell)
-        band = grid.band_of(cell) // BLOCK_CELLS
+        band = grid.find_band(cell) // BLOCK_CELLS
         # equal turns of longitude for a row of blocks: narrower toward the poles, still neighbours
         return band, int((lon + 180.0) // (BLOCK_CELLS * grid.step_deg)), cell
 
@@ -212,7 +212,7 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
     """
     (settings,) = run.config.mesh
     body, workspace = run.body, run.workspace
-    path = path_of(settings.path, run.folder)
+    path = resolve_path(settings.path, run.folder)
     # the loader's own words for a file that is missing come before those of the checksum
     digest = content_hash([path], workspace, run.progress) if path.is_file() else ""
     plain = MeshSettings(path.suffix, settings.units, settings.longitude)
@@ -296,5 +296,5 @@ def settle_pyramid(run: IngestRun) -> tuple[PyramidSettings, float]:
 def settle_mesh_relief(run: IngestRun, terrain: MeshTerrain, mesh: MeshRecord) -> ReliefRecord:
     """Make the relief of the whole body, or keep that of an earlier run."""
     record = ReliefRecord(stage_key(code_key(), mesh.folder), {})
-    make_or_keep(run, record.key, lambda: prepare_relief(relief_of_mesh(terrain)))
+    make_or_keep(run, record.key, lambda: prepare_relief(make_mesh_relief(terrain)))
     return record

@@ -165,7 +165,7 @@ def _stated_errors(
     sections: list[DemSection | MeshSection] = [*run.config.dems_of("ground")]
     errors = {}
     for name, section, record in zip(names, sections or run.config.mesh, records, strict=True):
-        error = TerrainErrorModel.of(stated_error(section), record.posting_m)
+        error = TerrainErrorModel.make(stated_error(section), record.posting_m)
         lowest, highest = run.body.plausible_heights_m
         if isinstance(record, DemRecord):
             lowest, highest = record.lowest_m, record.highest_m

@@ -23,11 +23,11 @@ from catalog.terrain.relief.sums import (
     MIN_COVERAGE,
     CellSums,
     Layer,
+    add_dem,
     check_share,
-    finished,
-    lay_whole,
-    rows_of,
-    share_within_bounds,
+    count_rows,
+    finish_relief,
+    measure_share_within_bounds,
 )
 
 # Tops are those of area means, so many across a cell: of a raster at 118 m they are read from its
@@ -52,7 +52,7 @@ def settle_relief(run: IngestRun, mosaic: Mosaic, dems: list[DemRecord]) -> Reli
     Raises DataError when the named terrain model cannot be used or the whole is not the body's.
     """
     workspace, wanted = run.workspace, run.config.relief.dem
-    shares = [share_within_bounds(p.source) * p.record.valid_share for p in mosaic.pyramids]
+    shares = [measure_share_within_bounds(p.source) * p.record.valid_share for p in mosaic.pyramids]
     if wanted is None and sum(shares) < MIN_COVERAGE:
         workspace.keep_only("relief", set())
         return None
@@ -61,7 +61,7 @@ def settle_relief(run: IngestRun, mosaic: Mosaic, dems: list[DemRecord]) -> Reli
     if wanted is not None:
         try:
             named = DemSource.open(wanted, run.folder, mosaic.body, "[relief] dem")
-            check_share(sum(shares) + share_within_bounds(named), named.path, mosaic.body)
+            check_share(sum(shares) + measure_share_within_bounds(named), named.path, mosaic.body)
         except DataError as error:
             raise DataError(f"{run.config_path}: [relief] dem: {error}") from None
         digest = content_hash(named.files, workspace, run.progress)
@@ -113,7 +113,7 @@ def _made(
         covered = sums.coverage
     if named is not None:
         try:
-            lay_whole(sums, named, run.progress)
+            add_dem(sums, named, run.progress)
             check_share(sums.coverage, f"with {named.path}", body)
         except DataError as error:
             raise DataError(f"{run.config_path}: [relief] dem: {error}") from None
@@ -121,7 +121,7 @@ def _made(
             names.append(named.path.name)
     elif sums.coverage < MIN_COVERAGE:
         return None
-    return prepare_relief(finished(sums, body.radius_m, " + ".join(names)))
+    return prepare_relief(finish_relief(sums, body.radius_m, " + ".join(names)))
 
 
 def _rows(mosaic: Mosaic, shares: list[float], named: DemSource | None) -> int:
@@ -132,12 +132,12 @@ def _rows(mosaic: Mosaic, shares: list[float], named: DemSource | None) -> int:
         shares = [*shares, max(0.0, 1.0 - sum(shares))]
     order = np.argsort(steps, kind="stable")
     shown = np.cumsum(np.array(shares)[order])
-    return rows_of(steps[order[int(np.searchsorted(shown, shown[-1] / 2.0))]])
+    return count_rows(steps[order[int(np.searchsorted(shown, shown[-1] / 2.0))]])
 
 
 def _layer(pyramid: HeightPyramid, posting_m: float) -> Layer:
     """A model at the overview that has this posting, or at its own where none is as fine."""
-    level = pyramid.level_for(posting_m)
+    level = pyramid.choose_level(posting_m)
     is_untiled = level == 0 and not pyramid.record.tiled_copy
     block = pyramid.source.block_shape if is_untiled else (BLOCK, BLOCK)
     read = partial(pyramid.read, level)

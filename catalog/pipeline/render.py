@@ -120,7 +120,7 @@ def _scores(
         corners = np.rint(offsets / 2**level + (side - window) / 2.0).astype(np.int64).tolist()
         windows.append([(slice(r, r + window), slice(c, c + window)) for r, c in corners])
     errors = np.empty((len(places), len(postings), len(suns)), np.float32)
-    beyond = context.mosaic.beyond(projection, postings[-1], grids[-1].shape[0])
+    beyond = context.mosaic.make_outer_grids(projection, postings[-1], grids[-1].shape[0])
     for level, (grid, posting) in enumerate(zip(grids, postings, strict=True)):
         outer = [*zip(grids[level + 1 :], postings[level + 1 :], strict=True), *beyond]
         for k, sun in enumerate(suns):

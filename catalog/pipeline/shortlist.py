@@ -109,7 +109,7 @@ class Spans(NamedTuple):
 def shortlists(context: StageContext, cells: Sequence[int]) -> dict[int, Shortlist]:
     """Shortlists by cell, in the order of the cells; without cells that have no ground at all."""
     asked = np.asarray(cells, dtype=np.int64)
-    zone_of = _zone_of(context, context.grid.bands_of(asked))
+    zone_of = _zone_of(context, context.grid.find_bands(asked))
     by_cell: dict[int, Shortlist] = {}
     mosaic = context.mosaic
     # without graticules each cell has a map grid of its own
@@ -134,7 +134,7 @@ def _alone(context: StageContext, cell: int) -> Shortlist | None:
         return None
     peaks = strongest_of(context, cell, ground)
     places = np.array([(ground.lat[peak], ground.lon[peak]) for peak in peaks])
-    if (context.grid.cell_of(*places.T) != cell).any():
+    if (context.grid.find_cells(*places.T) != cell).any():
         # in a hollow or under a cliff the middle of a ground without one height may lie elsewhere
         places = np.array([context.grid.centre_deg(cell)])
     return Shortlist(places, ground.complete)
@@ -184,7 +184,7 @@ def _spans(context: StageContext, zone: Zone, cells: IntArray) -> Spans:
     """Spans of cells; without those that hold no window's middle, or lack ground."""
     if not context.mosaic.covers_body:
         cells = cells[[has_whole_patches(context, cell) for cell in cells.tolist()]]
-    west, south, east, north = context.grid.bounds_of(cells)
+    west, south, east, north = context.grid.compute_bounds_deg(cells)
     inset = context.config.render.inset_cell
     down, along = inset * (north - south), inset * (east - west)
     half = zone.tall / 2.0

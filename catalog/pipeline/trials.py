@@ -53,7 +53,7 @@ def outcomes_at(
     projection = context.projection(lat_deg, lon_deg)
     levels = _levels(context, projection, patches, search, relief_seed)
     # coarser patches beyond the trial's levels throw shadows in
-    outer = [*patches[TRIAL_LEVELS:], *context.beyond(projection)]
+    outer = [*patches[TRIAL_LEVELS:], *context.make_outer_patches(projection)]
     suns = sun_samples(
         projection.lat,
         trials,
@@ -129,6 +129,6 @@ def _relief(
     detail = SyntheticRelief(
         ground, dem_posting_m, radius_m, smallest_m=smallest_m, rms_slope_deg=slope_deg
     )
-    relief = detail.local(Stereographic(0.0, 0.0, radius_m), posting_m, size)
+    relief = detail.sample_local(Stereographic(0.0, 0.0, radius_m), posting_m, size)
     relief.setflags(write=False)
     return relief

@@ -14,7 +14,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
 from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
-from catalog.rendering.shading import ZERO, Lighting, MapGrid, Rows, normal_of, single
+from catalog.rendering.shading import ZERO, Lighting, MapGrid, Rows, compute_normal, round_to_single
 
 TABLE_SLOPE = 1.0  # beyond 45 deg ground is rare, and evaluated
 TABLE_SIZE = 129
@@ -25,7 +25,7 @@ SMALL_TABLE_SIZE = 33
 GRAZING = 1e-3
 
 
-def slope_table(
+def make_slope_table(
     sun: FloatArray, view: FloatArray, surface: HapkeParameters, size: int
 ) -> Float32Array:
     """(size, size) ratios of Hapke's law to mu0 / (mu0 + mu), b along rows, a along columns.
@@ -33,11 +33,11 @@ def slope_table(
     sun, view (3,) unit. `shade_hapke` fills in what it needs, the rest is NaN: smooth ground has
     few slopes. Tables used last are kept: cells of a band of latitude share their Suns.
     """
-    return _kept_table(tuple(sun.tolist()), tuple(view.tolist()), surface, size)
+    return _cache_table(tuple(sun.tolist()), tuple(view.tolist()), surface, size)
 
 
 @lru_cache(maxsize=64)  # of 66 kB at most
-def _kept_table(
+def _cache_table(
     sun: tuple[float, float, float],
     view: tuple[float, float, float],
     surface: HapkeParameters,
@@ -69,7 +69,7 @@ def _fill(
 
 
 @kernel
-def _looked_up(
+def _look_up_ratio(
     normal: tuple[np.float32, np.float32, np.float32],
     light: Lighting,
     place: int,
@@ -107,7 +107,7 @@ def shade_hapke(
 
     What the table lacks is filled in.
     """
-    (sx, sy, sz), (vx, vy, vz) = single(light.sun), single(light.camera)
+    (sx, sy, sz), (vx, vy, vz) = round_to_single(light.sun), round_to_single(light.camera)
     table, us, per_radius = light.table, rows.u, np.float32(1.0 / grid.radius)
     size = us.size
     steps = np.float32(table.shape[0] - 1)
@@ -123,7 +123,7 @@ def shade_hapke(
         seen, line = mask[k], target[k][:size]
         # apart from the table, so that it is compiled to vector instructions
         for c in range(size):
-            nx, ny, nz = normal_of(slope_x[c], slope_y[c], us[c], v, here[c] * per_radius)
+            nx, ny, nz = compute_normal(slope_x[c], slope_y[c], us[c], v, here[c] * per_radius)
             mu0 = nx * sx + ny * sy + nz * sz
             mu = nx * vx + ny * vy + nz * vz
             line[c] = seen[c] * (mu0 / (mu0 + mu) if (mu0 > ZERO) & (mu > ZERO) else ZERO)
@@ -148,5 +148,5 @@ def shade_hapke(
                 if ratio == ratio:
                     line[c] *= ratio
                     continue
-            normal = normal_of(slope_x[c], slope_y[c], us[c], v, here[c] * per_radius)
-            line[c] *= _looked_up(normal, light, entry[c], past_x[c], past_y[c])
+            normal = compute_normal(slope_x[c], slope_y[c], us[c], v, here[c] * per_radius)
+            line[c] *= _look_up_ratio(normal, light, entry[c], past_x[c], past_y[c])

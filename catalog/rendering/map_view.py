@@ -14,7 +14,7 @@ from catalog.photometry.laws import (
     LAW_NUMBERS,
     NORMAL_ALBEDO,
     SurfaceLaw,
-    law_by_name,
+    find_law,
     lunar_weight,
 )
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE
@@ -23,8 +23,8 @@ from catalog.rendering.shadow import (
     KEPT_SUNS,
     NO_TABLE,
     Outer,
-    illuminated,
-    illuminated_levels,
+    compute_illumination,
+    compute_illumination_levels,
     map_grid,
 )
 from catalog.rendering.swept import ShadowField
@@ -55,21 +55,21 @@ def render_map(
     law           "hapke", "lommel_seeliger", "lunar_lambert" or "lambert", with the Moon's
                   parameters and normal albedo
     outer         coarser grids about the same centre that throw shadows in, or their field, as for
-                  `lit_mask`; None for no cast shadows, then only what faces away from the Sun is
-                  dark
+                  `make_lit_mask`; None for no cast shadows, then only what faces away from the Sun
+                  is dark
     Returns (n, n) float32. Terrain is not hidden by terrain: a node that faces the camera is drawn.
     Raises ConfigError for an unknown law, ValueError for vectors without a direction.
     """
     if view_local is not None and camera_local is not None:
         raise ValueError("render_map: give view_local or camera_local, not both")
     view = ZENITH if view_local is None else view_local
-    light = _light(law, sun_local, view)
+    light = _make_light(law, sun_local, view)
     if camera_local is not None:
         camera = np.ascontiguousarray(camera_local, dtype=np.float64)
         made = NEAR_LUNAR if law == "lunar_lambert" else NEAR
         light = light._replace(made=made, camera=camera)
     grid = map_grid(heights, posting_m, radius_m)
-    return illuminated(grid, light, outer, TABLE_SIZE)
+    return compute_illumination(grid, light, outer, TABLE_SIZE)
 
 
 def render_map_quickly(
@@ -86,9 +86,9 @@ def render_map_quickly(
 
     On small grids several times faster, wrong by 5e-4 of the mean (rms) to 25 deg off nadir.
     """
-    return illuminated(
+    return compute_illumination(
         map_grid(heights, posting_m, radius_m),
-        _light(law, sun_local, view_local),
+        _make_light(law, sun_local, view_local),
         outer,
         SMALL_TABLE_SIZE,
     )
@@ -130,12 +130,12 @@ def render_map_near(
     )
     approximate = nearly(level, apart_m, None)
     factor = np.divide(exact, approximate, out=np.ones_like(exact), where=approximate > 0.0)
-    spread = _spread(len(heights))
+    spread = _make_spread(len(heights))
     return nearly(heights, posting_m, outer) * (spread @ factor @ spread.T)
 
 
 @lru_cache(maxsize=64)
-def _spread(size: int) -> Float32Array:
+def _make_spread(size: int) -> Float32Array:
     """Weights (size, LEVEL_NODES) of LEVEL_NODES even places at `size` even ones between them."""
     at = np.linspace(0.0, LEVEL_NODES - 1.0, size)
     distance = np.abs(at[:, None] - np.arange(LEVEL_NODES))
@@ -158,24 +158,26 @@ def render_levels(
     Returns also the field of shadows about each grid, for other grids about the same centre.
     Raises ConfigError for an unknown law, ValueError for Hapke's, which wants a table for each.
     """
-    light = _light(law, sun_local, ZENITH)
+    light = _make_light(law, sun_local, ZENITH)
     if light.made == TABLE:
         raise ValueError(f"render_levels: {law} grids are rendered one by one")
-    return illuminated_levels([map_grid(*grid, radius_m) for grid in grids], light, count)
+    return compute_illumination_levels([map_grid(*grid, radius_m) for grid in grids], light, count)
 
 
-def _light(law: str, sun_local: ArrayLike, view_local: ArrayLike) -> Lighting:
+def _make_light(law: str, sun_local: ArrayLike, view_local: ArrayLike) -> Lighting:
     """Make the lighting for a far camera. Raises ConfigError for an unknown law."""
     sun, view = (np.asarray(vector, dtype=np.float64) for vector in (sun_local, view_local))
     if sun.shape != (3,) or view.shape != (3,):
-        sun, view = _unit(sun, "sun_local"), _unit(view, "view_local")  # which refuses it
-    return _far_light(law, tuple(sun.tolist()), tuple(view.tolist()))
+        sun, view = _normalise(sun, "sun_local"), _normalise(view, "view_local")  # which refuses it
+    return _make_far_light(law, tuple(sun.tolist()), tuple(view.tolist()))
 
 
 @lru_cache(maxsize=KEPT_SUNS)
-def _far_light(law: str, sun_local: tuple[float, ...], view_local: tuple[float, ...]) -> Lighting:
-    law_by_name(law)  # refuses a name that is no law
-    sun, view = _unit(sun_local, "sun_local"), _unit(view_local, "view_local")
+def _make_far_light(
+    law: str, sun_local: tuple[float, ...], view_local: tuple[float, ...]
+) -> Lighting:
+    find_law(law)  # refuses a name that is no law
+    sun, view = _normalise(sun_local, "sun_local"), _normalise(view_local, "view_local")
     weight = float(law == "lommel_seeliger")
     if law == "lunar_lambert":
         weight = lunar_weight(float(sun @ view))
@@ -184,7 +186,7 @@ def _far_light(law: str, sun_local: tuple[float, ...], view_local: tuple[float, 
     return Lighting(made, sun, view, weight, SurfaceLaw(number, LUNAR, NORMAL_ALBEDO), NO_TABLE)
 
 
-def _unit(vector: ArrayLike, what: str) -> FloatArray:
+def _normalise(vector: ArrayLike, what: str) -> FloatArray:
     array = np.ascontiguousarray(vector, dtype=np.float64)
     # in plain numbers: a small grid is rendered in less time than a library takes for a norm
     length = math.hypot(*array.tolist()) if array.shape == (3,) else math.nan

@@ -7,14 +7,14 @@ from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, Int32
 from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import unit
 from catalog.photometry.hapke import LUNAR, HapkeParameters, reflectance_scalar
-from catalog.terrain.mesh.rays import MeshRays, outward
+from catalog.terrain.mesh.rays import MeshRays, compute_outward_normal
 
 # Shadow rays start so far over their face, share of the body's reach: 32 bits end at a hundredth.
 LIFT = 1e-5
 
 
 @kernel
-def facing_the_sun(
+def select_sunward(
     corners: FloatArray,
     faces: Int32Array,
     origin: FloatArray,
@@ -32,7 +32,7 @@ def facing_the_sun(
     for n in range(faces.size):
         if faces[n] < 0:
             continue
-        x, y, z = outward(corners, faces[n])
+        x, y, z = compute_outward_normal(corners, faces[n])
         if x * sun[0] + y * sun[1] + z * sun[2] <= 0.0:
             continue
         up = lift / np.sqrt(x * x + y * y + z * z)
@@ -45,7 +45,7 @@ def facing_the_sun(
 
 
 @kernel
-def radiance_of(
+def shade_faces(
     corners: FloatArray,
     faces: Int32Array,
     rays: FloatArray,
@@ -56,7 +56,7 @@ def radiance_of(
 ) -> None:
     """Put Hapke's radiance factor of the faces that lit rays meet into out (n)."""
     for n in lit:
-        x, y, z = outward(corners, faces[n])
+        x, y, z = compute_outward_normal(corners, faces[n])
         length = np.sqrt(x * x + y * y + z * z)
         mu0 = (x * sun[0] + y * sun[1] + z * sun[2]) / length
         mu = -(x * rays[n, 0] + y * rays[n, 1] + z * rays[n, 2]) / length
@@ -87,13 +87,13 @@ class MeshScene:
         seen = np.isfinite(rays[:, 0])
         if not seen.all():
             rays = np.where(seen[:, None], rays, 0.0)  # no direction meets nothing
-        faces, distances = self.mesh.first_hits(origin, rays)
+        faces, distances = self.mesh.find_first_hits(origin, rays)
         faces[~seen] = -1
         corners, lift = self.mesh.corners, LIFT * self.mesh.reach_m
-        numbers, starts = facing_the_sun(corners, faces, origin, rays, distances, self.sun, lift)
+        numbers, starts = select_sunward(corners, faces, origin, rays, distances, self.sun, lift)
         lit = numbers[~self.mesh.are_blocked(starts, self.sun)]
         out = np.zeros(len(rays), np.float32)
-        radiance_of(corners, faces, rays, lit, self.sun, self.surface, out)
+        shade_faces(corners, faces, rays, lit, self.sun, self.surface, out)
         return out, faces
 
     def picture(
@@ -107,18 +107,18 @@ class MeshScene:
         samples      rays a side of a pixel at edges of the body and of shadows; others have one
         """
         corners = np.asarray(corner_rays, dtype=np.float64)
-        values, faces = self._looked_at(origin_m, corners, 0.5, 0.5, None)
-        edges = _edges(np.where(faces < 0, 0, np.where(values > 0.0, 2, 1)).astype(np.int8))
+        values, faces = self._sample_pixels(origin_m, corners, 0.5, 0.5, None)
+        edges = _find_edges(np.where(faces < 0, 0, np.where(values > 0.0, 2, 1)).astype(np.int8))
         if samples > 1 and edges.any():
             total = np.zeros(int(edges.sum()))
             for row in range(samples):
                 for col in range(samples):
                     at = (row + 0.5) / samples, (col + 0.5) / samples
-                    total += self._looked_at(origin_m, corners, *at, edges)[0]
+                    total += self._sample_pixels(origin_m, corners, *at, edges)[0]
             values[edges] = total / samples**2
         return values
 
-    def _looked_at(
+    def _sample_pixels(
         self,
         origin: ArrayLike,
         corners: FloatArray,
@@ -139,7 +139,7 @@ class MeshScene:
         return values.reshape(rays.shape[:-1]), faces.reshape(rays.shape[:-1])
 
 
-def _edges(kind: Int8Array) -> BoolArray:
+def _find_edges(kind: Int8Array) -> BoolArray:
     """Which pixels have a neighbour of another kind."""
     out = np.zeros(kind.shape, dtype=bool)
     down, along = kind[1:] != kind[:-1], kind[:, 1:] != kind[:, :-1]

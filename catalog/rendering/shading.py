@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.geometry.kernel import bare_kernel
+from catalog.geometry.kernel import inplace_kernel
 from catalog.photometry.laws import (
     SurfaceLaw,
-    lunar_weight_of,
-    phase_degrees,
-    reflectance_by_law,
+    compute_lunar_weight,
+    compute_phase_degrees,
+    evaluate_law,
 )
 
 LIMIT, LIT, TWO_TERMS, TABLE, FAR, NEAR, NEAR_LUNAR = range(7)  # numbers of what a sweep makes
@@ -79,14 +79,14 @@ class Rows(NamedTuple):
     u: Float32Array
 
 
-@bare_kernel
-def single(vector: FloatArray) -> tuple[np.float32, np.float32, np.float32]:
+@inplace_kernel
+def round_to_single(vector: FloatArray) -> tuple[np.float32, np.float32, np.float32]:
     """The elements of a vector (3,) in single precision."""
     return np.float32(vector[0]), np.float32(vector[1]), np.float32(vector[2])
 
 
-@bare_kernel
-def _slope(
+@inplace_kernel
+def _compute_slope(
     before: np.float32, here: np.float32, after: np.float32, per_m: np.float32
 ) -> np.float32:
     """Central difference; one-sided beside a hole or the border (NaN); 0 without neighbours.
@@ -102,8 +102,8 @@ def _slope(
     return ZERO
 
 
-@bare_kernel
-def _near_holes(
+@inplace_kernel
+def _fill_slopes_near_holes(
     above: Float32Array,
     here: Float32Array,
     below: Float32Array,
@@ -118,12 +118,12 @@ def _near_holes(
         east_of = here[c + 1] if c < size - 1 else UNKNOWN
         north_of = above[c] if above.size > 0 else UNKNOWN
         south_of = below[c] if below.size > 0 else UNKNOWN
-        along[c] = _slope(west_of, here[c], east_of, per_m)
-        across[c] = _slope(south_of, here[c], north_of, per_m)
+        along[c] = _compute_slope(west_of, here[c], east_of, per_m)
+        across[c] = _compute_slope(south_of, here[c], north_of, per_m)
 
 
-@bare_kernel
-def _row_slopes(
+@inplace_kernel
+def _fill_row_slopes(
     rows: Rows, number: int, posting: float, along: Float32Array, across: Float32Array
 ) -> None:
     """Fill along, across (n,) with dh/dx and dh/dy of a row's nodes, by central differences."""
@@ -149,20 +149,20 @@ def _row_slopes(
         holes += 1 if slopes != slopes else 0
     if holes:
         none = here[:0]
-        _near_holes(
+        _fill_slopes_near_holes(
             none if is_first else above, here, none if is_last else below, per_m, along, across
         )
 
 
-@bare_kernel
+@inplace_kernel
 def fill_slopes(rows: Rows, grid: MapGrid, slopes: Float32Array) -> None:
     """Fill slopes (rows, 2, n) with dh/dx and dh/dy of nodes, by central differences."""
     for k in range(rows.together):
-        _row_slopes(rows, rows.first + k, grid.posting, slopes[k, 0], slopes[k, 1])
+        _fill_row_slopes(rows, rows.first + k, grid.posting, slopes[k, 0], slopes[k, 1])
 
 
-@bare_kernel
-def normal_of(
+@inplace_kernel
+def compute_normal(
     slope_x: np.float32,
     slope_y: np.float32,
     u: np.float32,
@@ -186,7 +186,7 @@ def normal_of(
     )
 
 
-@bare_kernel
+@inplace_kernel
 def shade_two_terms(
     rows: Rows,
     grid: MapGrid,
@@ -200,7 +200,7 @@ def shade_two_terms(
     slopes  (rows, 2, n)
     mask    (rows, n)  0 in shadow, 1 in the light, NaN in holes
     """
-    (sx, sy, sz), (vx, vy, vz) = single(light.sun), single(light.camera)
+    (sx, sy, sz), (vx, vy, vz) = round_to_single(light.sun), round_to_single(light.camera)
     ratio = np.float32(2.0 * light.law.albedo * light.weight)
     plain = np.float32(light.law.albedo * (1.0 - light.weight))
     us, per_radius = rows.u, np.float32(1.0 / grid.radius)
@@ -210,7 +210,7 @@ def shade_two_terms(
         here = rows.heights[number - rows.low][: us.size]
         seen, line = mask[k], target[k][: us.size]
         for c in range(line.size):
-            nx, ny, nz = normal_of(slope_x[c], slope_y[c], us[c], v, here[c] * per_radius)
+            nx, ny, nz = compute_normal(slope_x[c], slope_y[c], us[c], v, here[c] * per_radius)
             mu0 = nx * sx + ny * sy + nz * sz
             mu = nx * vx + ny * vy + nz * vz
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
@@ -219,7 +219,7 @@ def shade_two_terms(
             line[c] = seen[c] * (value if (mu0 > ZERO) & (mu > ZERO) else ZERO)
 
 
-@bare_kernel
+@inplace_kernel
 def shade_nodes(
     rows: Rows,
     grid: MapGrid,
@@ -239,7 +239,7 @@ def shade_nodes(
             if not mask[k, c] > ZERO:
                 continue
             h, u = np.float64(rows.heights[number - rows.low, c]), np.float64(rows.u[c])
-            nx, ny, nz = normal_of(
+            nx, ny, nz = compute_normal(
                 slopes[k, 0, c],
                 slopes[k, 1, c],
                 rows.u[c],
@@ -257,10 +257,10 @@ def shade_nodes(
             mu0 = (nx * sun[0] + ny * sun[1] + nz * sun[2]) / length
             mu = (nx * vx + ny * vy + nz * vz) / (length * distance)
             cos_g = (sun[0] * vx + sun[1] * vy + sun[2] * vz) / distance
-            target[k, c] = reflectance_by_law(mu0, mu, cos_g, light.law)
+            target[k, c] = evaluate_law(mu0, mu, cos_g, light.law)
 
 
-@bare_kernel
+@inplace_kernel
 def shade_near(
     rows: Rows,
     grid: MapGrid,
@@ -283,7 +283,7 @@ def shade_near(
         here = rows.heights[number - rows.low][: us.size]
         seen, line, v = mask[k], target[k][: us.size], np.float64(w)
         for c in range(line.size):
-            nx, ny, nz = normal_of(slope_x[c], slope_y[c], us[c], w, here[c] * per_radius)
+            nx, ny, nz = compute_normal(slope_x[c], slope_y[c], us[c], w, here[c] * per_radius)
             h, u = np.float64(here[c]), np.float64(us[c])
             q = u * u + v * v
             reach = (diameter + 2.0 * h) / (1.0 + q)
@@ -293,6 +293,8 @@ def shade_near(
             length = np.sqrt(np.float64(nx * nx + ny * ny + nz * nz))
             mu0 = (nx * sx + ny * sy + nz * sz) / length
             mu = (nx * vx + ny * vy + nz * vz) / (length * distance)
-            weight = lunar_weight_of(phase_degrees((sx * vx + sy * vy + sz * vz) / distance))
+            weight = compute_lunar_weight(
+                compute_phase_degrees((sx * vx + sy * vy + sz * vz) / distance)
+            )
             value = albedo * mu0 * (2.0 * weight / (mu0 + mu) + (1.0 - weight))
             line[c] = seen[c] * (np.float32(value) if (mu0 > 0.0) & (mu > 0.0) else ZERO)

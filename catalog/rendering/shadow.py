@@ -14,7 +14,7 @@ from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.geometry.projection import FLAT_RADIUS_M
 from catalog.photometry.hapke import LUNAR
 from catalog.photometry.laws import NORMAL_ALBEDO, SurfaceLaw
-from catalog.rendering.hapke_table import slope_table
+from catalog.rendering.hapke_table import make_slope_table
 from catalog.rendering.shading import FAR, LIMIT, LIT, TABLE, Lighting, MapGrid
 from catalog.rendering.swept import NO_LIMITS, ShadowField, Sweep, sweep_grid, sweep_levels
 
@@ -30,7 +30,7 @@ KEPT_SUNS = 64
 Outer = Sequence[tuple[Float32Array, float]] | ShadowField
 
 
-def lit_mask(
+def make_lit_mask(
     heights: Float32Array,
     posting_m: float,
     sun_local: ArrayLike,
@@ -44,31 +44,34 @@ def lit_mask(
     sun_local  (3,)   direction to the Sun, any length, east, north, up at the grid's centre
     radius_m   radius of the reference sphere
     outer      (heights, posting_m) of coarser grids about the same centre, finer first: what lies
-               beyond the grid before them and throws its shadow into it; or their `shadow_field`
-               under this Sun
+               beyond the grid before them and throws its shadow into it; or their field under this
+               Sun, see `make_shadow_field`
     Returns (n, n) bool; nodes without data are False. All False for a Sun at or below the
     horizon of the centre; but a plane (its radius) is no horizon to the slopes of a small body.
     Raises ValueError for a grid that is not square or a Sun of no length.
     """
     lit: BoolArray = (
-        illuminated(map_grid(heights, posting_m, radius_m), _light(LIT, sun_local), outer) > 0
+        compute_illumination(
+            map_grid(heights, posting_m, radius_m), _make_light(LIT, sun_local), outer
+        )
+        > 0
     )
     return lit
 
 
-def illuminated(
+def compute_illumination(
     grid: MapGrid, light: Lighting, outer: Outer | None = (), table_size: int = 0
 ) -> Float32Array:
     """Compute what `light` asks for at every node of a grid (n, n) that the Sun reaches; else 0.
 
     light       its vectors are east, north, up; the Sun's of unit length
-    outer       as `lit_mask` takes it; None for no cast shadows
+    outer       as `make_lit_mask` takes it; None for no cast shadows
     table_size  of the table that Hapke's law is read from where light.made is TABLE. It pays from
                 three nodes to an entry on; smaller grids are evaluated node by node.
     NaN where there is no data. Raises ValueError for a grid that is not square.
     """
     _refuse_shape(grid.heights, "a map grid")
-    sweep = _sweep_of(*light.sun.tolist())
+    sweep = _plan_sweep(*light.sun.tolist())
     if outer is not None and _is_set(light.sun, sweep, grid.radius):
         return np.where(np.isnan(grid.heights), grid.heights, np.float32(0.0))
     field = NO_FIELD
@@ -76,18 +79,20 @@ def illuminated(
         sweep = sweep._replace(casts=False)
     elif sweep.casts:
         field = (
-            outer if isinstance(outer, ShadowField) else shadow_field(outer, light.sun, grid.radius)
+            outer
+            if isinstance(outer, ShadowField)
+            else make_shadow_field(outer, light.sun, grid.radius)
         )
-    light = _in_sweep(light, sweep)
+    light = _orient_to_sweep(light, sweep)
     if light.made == TABLE and grid.heights.size < 3 * table_size**2:
         light = light._replace(made=FAR)
     elif light.made == TABLE:
-        table = slope_table(light.sun, light.camera, light.law.surface, table_size)
+        table = make_slope_table(light.sun, light.camera, light.law.surface, table_size)
         light = light._replace(table=table)
     return sweep_grid(grid, sweep, field, light)
 
 
-def shadow_field(
+def make_shadow_field(
     grids: Sequence[tuple[Float32Array, float]],
     sun_local: ArrayLike,
     radius_m: float,
@@ -95,12 +100,12 @@ def shadow_field(
 ) -> ShadowField:
     """The shadows that coarser grids throw, for several finer grids under the same Sun.
 
-    grids   (heights, posting_m) about the same centre, finer first, as `lit_mask` takes them
+    grids   (heights, posting_m) about the same centre, finer first, as `make_lit_mask` takes them
     beyond  the field of still coarser ones
     Raises ValueError for a grid that is not square or a Sun of no length.
     """
-    light, field = _light(LIMIT, sun_local), beyond or NO_FIELD
-    sweep = _sweep_of(*light.sun.tolist())
+    light, field = _make_light(LIMIT, sun_local), beyond or NO_FIELD
+    sweep = _plan_sweep(*light.sun.tolist())
     for heights, posting in reversed(grids):
         _refuse_shape(heights, "an outer map grid")
         if sweep.casts and not _is_set(light.sun, sweep, radius_m):
@@ -109,26 +114,28 @@ def shadow_field(
     return field
 
 
-def illuminated_levels(
+def compute_illumination_levels(
     grids: Sequence[MapGrid], light: Lighting, count: int
 ) -> tuple[list[Float32Array], list[ShadowField]]:
-    """`illuminated` of the first `count` of some grids about one centre, under all coarser ones.
+    """Compute illumination of the first `count` grids about one centre, under all coarser ones.
 
     grids  finer first
     light  of a law without a table
     Returns also the field that the coarser ones throw over each grid.
     """
-    sweep = _sweep_of(*light.sun.tolist())
+    sweep = _plan_sweep(*light.sun.tolist())
     if not sweep.casts or _is_set(light.sun, sweep, grids[0].radius):
-        return [illuminated(grid, light) for grid in grids[:count]], [NO_FIELD] * len(grids)
-    return sweep_levels(grids, sweep, _in_sweep(light, sweep), count)
+        return [compute_illumination(grid, light) for grid in grids[:count]], [NO_FIELD] * len(
+            grids
+        )
+    return sweep_levels(grids, sweep, _orient_to_sweep(light, sweep), count)
 
 
-def _in_sweep(light: Lighting, sweep: Sweep) -> Lighting:
+def _orient_to_sweep(light: Lighting, sweep: Sweep) -> Lighting:
     """Swap the vectors' axes where the sweep swaps rows and columns."""
     if not sweep.swap:
         return light
-    return light._replace(sun=_swapped(light.sun), camera=_swapped(light.camera))
+    return light._replace(sun=_swap_axes(light.sun), camera=_swap_axes(light.camera))
 
 
 def map_grid(heights: Float32Array, posting_m: float, radius_m: float) -> MapGrid:
@@ -137,7 +144,7 @@ def map_grid(heights: Float32Array, posting_m: float, radius_m: float) -> MapGri
     return MapGrid(grid, float(posting_m), float(radius_m))
 
 
-def _light(made: int, sun_local: ArrayLike) -> Lighting:
+def _make_light(made: int, sun_local: ArrayLike) -> Lighting:
     """Make the lighting of a quantity that needs no law."""
     sun = np.asarray(sun_local, dtype=np.float64)
     length = math.hypot(*sun.tolist())
@@ -146,7 +153,7 @@ def _light(made: int, sun_local: ArrayLike) -> Lighting:
     return Lighting(made, sun / length, ZENITH, 0.0, NO_LAW, NO_TABLE)
 
 
-def _swapped(vector: FloatArray) -> FloatArray:
+def _swap_axes(vector: FloatArray) -> FloatArray:
     """A vector where rows and columns have changed places."""
     return np.array([-vector[1], -vector[0], vector[2]])
 
@@ -157,7 +164,7 @@ def _is_set(sun: FloatArray, sweep: Sweep, radius_m: float) -> bool:
 
 
 @lru_cache(maxsize=KEPT_SUNS)
-def _sweep_of(east: float, north: float, up: float) -> Sweep:
+def _plan_sweep(east: float, north: float, up: float) -> Sweep:
     """The way to sweep under a Sun; one overhead casts no shadows."""
     swap = abs(east) > abs(north)
     # row 0 is north, column 0 west: rows are swept from the Sun's side

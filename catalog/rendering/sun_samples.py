@@ -16,7 +16,7 @@ LOW_ELEVATION = math.radians(8.0)  # below, most of the ground is in shadow
 HIGH_ELEVATION = math.radians(45.0)  # above, relief hardly shows
 
 
-def azimuth_band(
+def find_azimuth_band(
     lat: float, elevation: float, max_declination: float = MOON_MAX_DECLINATION
 ) -> tuple[float, float] | None:
     """Azimuths (rad from north, 0..pi, east side) at which the Sun passes an elevation.
@@ -35,7 +35,7 @@ def azimuth_band(
     return math.acos(min(north, 1.0)), math.acos(max(south, -1.0))
 
 
-def highest_sun(lat: float, max_declination: float = MOON_MAX_DECLINATION) -> float:
+def find_highest_sun(lat: float, max_declination: float = MOON_MAX_DECLINATION) -> float:
     """The greatest elevation (rad) of the Sun at a latitude."""
     return math.pi / 2.0 - max(abs(lat) - max_declination, 0.0)
 
@@ -61,14 +61,14 @@ def sun_samples(
     """
     if elevations < 1 or azimuths < 2 or azimuths % 2:
         raise ValueError("sun_samples: at least one elevation and an even number of azimuths")
-    top = min(highest, 0.98 * highest_sun(lat, max_declination))
+    top = min(highest, 0.98 * find_highest_sun(lat, max_declination))
     bottom = min(lowest, 0.25 * top)
     half = azimuths // 2
     suns = []
     # in plain numbers: a library takes several times as long for so few
     for number in range(elevations):
         elevation = bottom + (top - bottom) * number / max(elevations - 1, 1)
-        band = azimuth_band(lat, elevation, max_declination)
+        band = find_azimuth_band(lat, elevation, max_declination)
         if band is None:
             raise ValueError(
                 f"sun_samples: the Sun never stands {math.degrees(elevation):.1f} deg high at "

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.kernel import inplace_kernel, kernel
 from catalog.photometry.hapke import HapkeParameters
 from catalog.photometry.laws import SurfaceLaw
 from catalog.rendering.hapke_table import shade_hapke
@@ -73,7 +73,7 @@ class Sweep(NamedTuple):
 
 
 class ShadowField(NamedTuple):
-    """Shadows of coarser grids over a point, for one Sun; see `shadow.shadow_field`.
+    """Shadows of coarser grids over a point, for one Sun; see `shadow.make_shadow_field`.
 
     limits     (m, m)  height that ground must pass to see the Sun; (0, 0) when nothing throws
                shadows
@@ -87,7 +87,7 @@ class ShadowField(NamedTuple):
 class _Work(NamedTuple):
     """Arrays that one sweep works in.
 
-    lines    heights of rays by line; a row's columns lie beside lines from `_first_line` on
+    lines    heights of rays by line; a row's columns lie beside lines from `_find_first_line` on
     z        (n + 2,) heights of a row above the plane that its rays share, the ends twice
     mask     (rows, n), slopes (rows, 2, n): of rows that are worked on together
     uu       (n,) squares of x / 2R of columns
@@ -101,8 +101,8 @@ class _Work(NamedTuple):
     uu: Float32Array
 
 
-@bare_kernel
-def _first_line(sweep: Sweep, span: int, t: int) -> tuple[int, float]:
+@inplace_kernel
+def _find_first_line(sweep: Sweep, span: int, t: int) -> tuple[int, float]:
     """The lowest line that a node of row t lies beside, and how far lines are past nodes, 0..1."""
     # a line that rounding leaves a hair before a column is on it
     shift = int(np.floor(sweep.shear * t + 1e-9))
@@ -110,7 +110,7 @@ def _first_line(sweep: Sweep, span: int, t: int) -> tuple[int, float]:
     return (shift if sweep.flip_c else span - shift), part
 
 
-@bare_kernel
+@inplace_kernel
 def _sample(limits: Float32Array, row: float, col: float) -> float:
     """The limit between the nodes of a coarser grid; NOTHING outside it."""
     size = limits.shape[0]
@@ -123,18 +123,18 @@ def _sample(limits: Float32Array, row: float, col: float) -> float:
     return value
 
 
-@bare_kernel
-def _enter_lines(
+@inplace_kernel
+def _start_lines(
     grid: MapGrid, sweep: Sweep, outer: ShadowField, work: _Work, t: int, row: int, lift: float
 ) -> None:
     """Lines that enter the grid at row t carry the rays that ground about it has thrown."""
     size = grid.heights.shape[0]
-    first, part = _first_line(sweep, work.span, t)
+    first, part = _find_first_line(sweep, work.span, t)
     begin, end = first, first + size + 1
     if t > 0 and sweep.flip_c:
-        begin = _first_line(sweep, work.span, t - 1)[0] + size + 1
+        begin = _find_first_line(sweep, work.span, t - 1)[0] + size + 1
     elif t > 0:
-        end = _first_line(sweep, work.span, t - 1)[0]
+        end = _find_first_line(sweep, work.span, t - 1)[0]
     middle, outer_middle = (size - 1) / 2.0, (outer.limits.shape[0] - 1) / 2.0
     ratio = grid.posting / outer.posting_m
     down = outer_middle + (row - middle) * ratio
@@ -147,7 +147,7 @@ def _enter_lines(
         work.lines[line] = limit + lift
 
 
-@bare_kernel
+@inplace_kernel
 def _fill_z(here: Float32Array, work: _Work, row_q: np.float32, radius: float, lift: float) -> None:
     """Heights of a row's nodes in the tangent frame, above the plane of its rays."""
     z, uu = work.z[1 : here.size + 1], work.uu
@@ -161,7 +161,7 @@ def _fill_z(here: Float32Array, work: _Work, row_q: np.float32, radius: float, l
     work.z[0], work.z[here.size + 1] = z[0], z[here.size - 1]
 
 
-@bare_kernel
+@inplace_kernel
 def _cast_shadows(
     grid: MapGrid,
     sweep: Sweep,
@@ -185,9 +185,9 @@ def _cast_shadows(
         t = size - 1 - number if sweep.flip_t else number
         lift = rise * (t - (size - 1) / 2.0)
         if outer.limits.shape[0] > 0:
-            _enter_lines(grid, sweep, outer, work, t, number, lift)
+            _start_lines(grid, sweep, outer, work, t, number, lift)
         _fill_z(here, work, work.uu[number], grid.radius, lift)
-        first, far = _first_line(sweep, work.span, t)
+        first, far = _find_first_line(sweep, work.span, t)
         part, share = np.float32(far), np.float32(1.0 - far)
         # a node lies between the line a part of a column past it and the one before that
         ahead, shift = (0, 0) if sweep.flip_c else (1, 2)
@@ -211,7 +211,7 @@ def _cast_shadows(
             line[c] = height if height > ground else ground
 
 
-@bare_kernel
+@inplace_kernel
 def _make_rows(
     grid: MapGrid,
     sweep: Sweep,
@@ -247,8 +247,8 @@ def _make_rows(
         shade_nodes(rows, grid, work.slopes, work.mask, light, target)
 
 
-@bare_kernel
-def _turn(heights: Float32Array, strip: Float32Array) -> None:
+@inplace_kernel
+def _copy_transposed(heights: Float32Array, strip: Float32Array) -> None:
     """Copy columns (n, k) into rows (k, n)."""
     size, count = heights.shape
     fours = size - size % 4
@@ -263,8 +263,8 @@ def _turn(heights: Float32Array, strip: Float32Array) -> None:
             strip[k, r] = heights[r, k]
 
 
-@bare_kernel
-def _turn_back(made: Float32Array, out: Float32Array) -> None:
+@inplace_kernel
+def _copy_back(made: Float32Array, out: Float32Array) -> None:
     for r in range(out.shape[0]):
         line = out[r]
         for k in range(line.size):
@@ -272,7 +272,7 @@ def _turn_back(made: Float32Array, out: Float32Array) -> None:
 
 
 @kernel
-def _sweep(
+def _run_sweep(
     heights: Float32Array,
     limits: Float32Array,
     table: Float32Array,
@@ -307,7 +307,7 @@ def _sweep(
         end = size - done if flip_t else min(done + wide, size)
         low = max(begin - 1, 0) if swap else 0
         if swap:
-            _turn(heights[:, low : min(end + 1, size)], strip)
+            _copy_transposed(heights[:, low : min(end + 1, size)], strip)
         ground, target = (strip, made) if swap else (heights, out)
         for ready in range(0, end - begin, together):
             count = min(together, end - begin - ready)
@@ -315,11 +315,11 @@ def _sweep(
             rows = Rows(ground, low, first, count, u)
             _make_rows(grid, sweep, outer, light, work, rows, target[first - begin :])
         if swap:
-            _turn_back(made, out[:, begin:end])
+            _copy_back(made, out[:, begin:end])
 
 
 @kernel
-def _sweep_levels(
+def _run_sweep_levels(
     grids: tuple[Float32Array, ...],
     postings: FloatArray,
     numbers: FloatArray,
@@ -333,10 +333,10 @@ def _sweep_levels(
         numbers[0], numbers[8] = postings[k], postings[min(k + 1, postings.size - 1)]
         if k < len(pictures):
             numbers[9] = made
-            _sweep(grids[k], limits[k], table, numbers, pictures[k])
+            _run_sweep(grids[k], limits[k], table, numbers, pictures[k])
         if k > 0:
             numbers[9] = LIMIT
-            _sweep(grids[k], limits[k], table, numbers, limits[k - 1])
+            _run_sweep(grids[k], limits[k], table, numbers, limits[k - 1])
 
 
 def sweep_levels(
@@ -350,16 +350,16 @@ def sweep_levels(
     pictures = [np.empty_like(grid.heights) for grid in grids[:count]]
     limits = [*(np.empty_like(grid.heights) for grid in grids[1:]), NO_LIMITS]
     postings = [grid.posting for grid in grids]
-    numbers = _numbers(grids[0], sweep, 1.0, light)
-    _sweep_levels(
+    numbers = _pack_numbers(grids[0], sweep, 1.0, light)
+    _run_sweep_levels(
         tuple(grid.heights for grid in grids), np.array(postings), numbers, light.made,
         light.table, tuple(limits), tuple(pictures),
     )  # fmt: skip
     return pictures, [ShadowField(*field) for field in zip(limits, [*postings[1:], 1.0])]
 
 
-def _numbers(grid: MapGrid, sweep: Sweep, outer_m: float, light: Lighting) -> FloatArray:
-    """All that `_sweep` takes but for arrays; outer_m: posting of what lies beyond the grid.
+def _pack_numbers(grid: MapGrid, sweep: Sweep, outer_m: float, light: Lighting) -> FloatArray:
+    """All that `_run_sweep` takes but for arrays; outer_m: posting of what lies beyond the grid.
 
     One array: a kernel takes 40 us to be handed them as the tuples they are in.
     """
@@ -378,8 +378,8 @@ def sweep_grid(grid: MapGrid, sweep: Sweep, outer: ShadowField, light: Lighting)
 
     With swap, vectors in `light` have x against rows and y against columns.
     """
-    numbers = _numbers(grid, sweep, outer.posting_m, light)
+    numbers = _pack_numbers(grid, sweep, outer.posting_m, light)
     # of the library, which takes large arrays in large pages; the kernel's own would not be
     out = np.empty(grid.heights.shape, np.float32)
-    _sweep(grid.heights, outer.limits, light.table, numbers, out)
+    _run_sweep(grid.heights, outer.limits, light.table, numbers, out)
     return out

@@ -27,9 +27,9 @@ import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.ncc import HIGH_PASS_NODES, high_pass
-from catalog.correlation.surf64 import own_similarity_surface
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.correlation.ncc import HIGH_PASS_NODES, filter_high_pass
+from catalog.correlation.surf64 import compute_self_similarity_surface
+from catalog.geometry.kernel import inplace_kernel, kernel
 
 AZIMUTHS = 8  # over half a turn: the opposite Sun gives the same tensor
 # a window may miss this share of its nodes before its response is unknown
@@ -38,7 +38,7 @@ MAX_MISSING = 0.02
 LOBE_NODES = 3
 
 
-@bare_kernel
+@inplace_kernel
 def eigenvalue_row(
     sums: Float32Array, least: float, directions: Float32Array, out: Float32Array
 ) -> None:
@@ -71,7 +71,7 @@ def eigenvalue_row(
             out[c] = np.float32(np.nan)
 
 
-@bare_kernel
+@inplace_kernel
 def _slide_right(columns: FloatArray, window: int, step: int, sums: Float32Array) -> None:
     """Window sums (7, right) of a row from its column sums (7, cols)."""
     # seven scalars, not an array: the additions of seven chains then overlap
@@ -242,7 +242,7 @@ def _contrast(brightness: Float32Array) -> float:
     if contrast == contrast:
         return contrast
     # holes are zero after the high-pass and count as nodes without contrast
-    return float(cv2.meanStdDev(high_pass(brightness))[1][0, 0])
+    return float(cv2.meanStdDev(filter_high_pass(brightness))[1][0, 0])
 
 
 @cache
@@ -254,7 +254,7 @@ def _half_taps() -> Float32Array:
     return taps[:, 0].astype(np.float32)
 
 
-@bare_kernel
+@inplace_kernel
 def _mirrored(index: int, count: int) -> int:
     """An index among so many, those beyond the ends mirrored about the end ones."""
     while count > 1 and not 0 <= index < count:
@@ -262,7 +262,7 @@ def _mirrored(index: int, count: int) -> int:
     return index if count > 1 else 0
 
 
-@bare_kernel
+@inplace_kernel
 def _blur(grid: Float32Array, taps: Float32Array, wide: Float32Array, out: Float32Array) -> None:
     """Fill out (rows, cols) with a grid blurred, mirrored about its end nodes.
 
@@ -390,5 +390,5 @@ def uniqueness_margin(brightness: Float32Array, template_nodes: int, search_node
     search_nodes            how far the search goes, nodes; capped by the room that n leaves
     Raises ValueError when the template cannot be centred in the brightness.
     """
-    rival = best_rival(own_similarity_surface(brightness, template_nodes), search_nodes)
+    rival = best_rival(compute_self_similarity_surface(brightness, template_nodes), search_nodes)
     return float(min(1.0 - rival, 1.0))

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.kernel import inplace_kernel, kernel
 from catalog.selection.localisation import eigenvalue_row
 
 BLUR_TAPS = 9  # four sigmas of one node, either side
@@ -19,7 +19,7 @@ MARGIN = BLUR_TAPS // 2 + 1  # nodes that blur and second differences want aroun
 BLOCK_NODES = 2048  # columns done at once: their rows stay in the processor's nearest cache
 
 
-@bare_kernel
+@inplace_kernel
 def _blur_down(heights: Float32Array, taps: Float32Array, out: Float32Array) -> None:
     """The middle row of BLUR_TAPS rows, blurred across them."""
     half = taps.size // 2
@@ -32,7 +32,7 @@ def _blur_down(heights: Float32Array, taps: Float32Array, out: Float32Array) -> 
             out[c] += weight * (above[c] + below[c])
 
 
-@bare_kernel
+@inplace_kernel
 def _blur_along(line: Float32Array, taps: Float32Array, out: Float32Array) -> None:
     half = taps.size // 2
     middle = line[half : half + out.size]
@@ -45,7 +45,7 @@ def _blur_along(line: Float32Array, taps: Float32Array, out: Float32Array) -> No
             out[c] += weight * (left[c] + right[c])
 
 
-@bare_kernel
+@inplace_kernel
 def _add_products(
     south: Float32Array,
     middle: Float32Array,
@@ -136,7 +136,7 @@ def tile_sums(
     return out
 
 
-@bare_kernel
+@inplace_kernel
 def _window_eigenvalues(
     tiles: Float32Array,
     tall: int,

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.ncc import match_ncc, thinned, thinning
+from catalog.correlation.ncc import choose_thinning, downsample_blurred, match_ncc
 from catalog.correlation.similarity import match_similarity
 from catalog.geometry.kernel import kernel
 from catalog.rendering.map_view import render_levels, render_map_quickly
@@ -219,9 +219,9 @@ def run_trial(
         step_m = posting_m
         if level.blur_nodes:
             even = search.template_nodes % 2 == 0
-            template = thinned(template, level.blur_nodes, even)
-            picture = thinned(picture, level.blur_nodes, even)
-            step_m *= thinning(level.blur_nodes)
+            template = downsample_blurred(template, level.blur_nodes, even)
+            picture = downsample_blurred(picture, level.blur_nodes, even)
+            step_m *= choose_thinning(level.blur_nodes)
         if coarsest:
             match, roll, scale = match_similarity(
                 template, picture, search.rolls, search.scales, halved=True

@@ -18,7 +18,7 @@ from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import NAME
 from catalog.control_point import ControlPoint
 from catalog.errors import DataError
-from catalog.geometry.ellipsoid import foot_of, normal_at
+from catalog.geometry.ellipsoid import compute_normals, find_foot
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.projection import FLAT_RADIUS_M, MapProjection
 from catalog.terrain.error_model import TerrainErrorModel
@@ -104,7 +104,7 @@ class PlanesMeta:
         if self.verticals_deg:
             lat, lon = np.radians([self.verticals_deg[number] for number in ids.tolist()]).T
             return xyz_from_latlon(lat, lon, 1.0)
-        return normal_at(foot_of(xyz_m, self.radii_m), self.radii_m)
+        return compute_normals(find_foot(xyz_m, self.radii_m), self.radii_m)
 
 
 @dataclass(frozen=True)

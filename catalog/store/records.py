@@ -166,7 +166,7 @@ def _in_cells(records: RecordArray, grid: CellGrid) -> BoolArray:
     """Whether places lie in the cells that their numbers name, but for rounding."""
     ids = records["id"]
     known = (ids >= 0) & (ids < grid.total)
-    west, south, east, north = grid.bounds_of(np.where(known, ids, 0))
+    west, south, east, north = grid.compute_bounds_deg(np.where(known, ids, 0))
     lat, lon = records["lat_deg"], records["lon_deg"]
     inside = np.mod(lon - west, 360.0) <= east - west
     outside_deg = np.where(

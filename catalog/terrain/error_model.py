@@ -116,13 +116,13 @@ class StatedError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     error_m: Positive | None = None
     resolution_km: Positive | None = None
 
-    def problem(self, of_mesh: bool) -> str:
+    def find_problem(self, of_mesh: bool) -> str:
         """Return the fault of the statement, "" for none."""
         if self.product is not None and (self.error_m, self.resolution_km) != (None, None):
             return "has a product beside error_m or resolution_km; state one of the two"
         if self.error_m is None and self.resolution_km is not None:
             return "has resolution_km without error_m; add error_m"
-        known = [*terrain_laws().product, *([MESH] if of_mesh else [])]
+        known = [*load_terrain_laws().product, *([MESH] if of_mesh else [])]
         if self.product is not None and self.product not in known:
             near = nearest_name(self.product, known)
             hint = f"did you mean {near!r}?" if near else f"it knows {', '.join(sorted(known))}"
@@ -156,12 +156,12 @@ class TerrainErrorModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     source: str
 
     @classmethod
-    def of(cls, stated: StatedError, posting_m: float) -> "TerrainErrorModel | None":
+    def make(cls, stated: StatedError, posting_m: float) -> "TerrainErrorModel | None":
         """The error of a model of a posting; None where nothing is stated.
 
         posting_m  of the raster, or distance of the mesh's vertices
         """
-        laws = terrain_laws()
+        laws = load_terrain_laws()
         if stated.product == MESH:
             mesh = laws.mesh
             resolution = mesh.resolution * posting_m / 1e3
@@ -183,7 +183,7 @@ class TerrainErrorModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         Relief that a model lacks counts as relief that it has wrongly: error and resolution are
         taken against those of GLD100 and added in squares.
         """
-        known = terrain_laws().product["gld100"]
+        known = load_terrain_laws().product["gld100"]
         parts = self.error_m / known.error_m, self.resolution_km / known.resolution_km
         return math.hypot(*parts) / math.sqrt(2.0)
 
@@ -191,7 +191,7 @@ class TerrainErrorModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         """The error of the place of one matched template that comes from the model alone.
 
         template_size_m  side of the template on the ground: the size decides, not the posting
-        slope            rms of the ground's slope over 2 km under it (`rms_slope`)
+        slope            rms of the ground's slope over 2 km under it (`measure_rms_slope`)
 
         It covers all of the difference of model and truth within the template that moves the
         correlation peak, and the error of the template's mean height. It holds neither picture
@@ -200,19 +200,19 @@ class TerrainErrorModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         so the shift must not be added to such a one in full. What it cannot see, and only this
         holds, is what the model warps smoothly: the floor of wide templates, and all of height_m.
         """
-        laws = terrain_laws()
+        laws = load_terrain_laws()
         # beneath its resolution a model holds nothing that a smaller template could go by
         side = max(template_size_m / 1e3, self.resolution_km) / self.box_km
         slopes = laws.slope.slope
         on = min(max(slope, slopes[0]), slopes[-1]) if math.isfinite(slope) else REFERENCE_SLOPE
-        error = self.error_m * _interpolated(on, slopes, laws.slope.of_error)
-        shift = _interpolated(side, laws.shift.template, laws.shift.of_error, downward=True)
-        height = _interpolated(side, laws.height.box, laws.height.of_error)
+        error = self.error_m * _interpolate_table(on, slopes, laws.slope.of_error)
+        shift = _interpolate_table(side, laws.shift.template, laws.shift.of_error, downward=True)
+        height = _interpolate_table(side, laws.height.box, laws.height.of_error)
         return TemplateSigma(error * shift * REFERENCE_SLOPE / on, error * height)
 
 
 @cache
-def terrain_laws() -> TerrainLaws:
+def load_terrain_laws() -> TerrainLaws:
     """The laws and products that ship with optnav. Raises ConfigError for a wrong file."""
     laws = load_toml(resource(FILE), TerrainLaws)
     for name, places, values in (
@@ -225,7 +225,7 @@ def terrain_laws() -> TerrainLaws:
     return laws
 
 
-def _interpolated(
+def _interpolate_table(
     at: float, places: tuple[float, ...], values: tuple[float, ...], downward: bool = False
 ) -> float:
     """A table in logarithms; constant beyond its ends, or going on straight below the first."""
@@ -236,7 +236,7 @@ def _interpolated(
     return math.exp(value)
 
 
-def rms_slope(heights_m: NDArray[Any], posting_m: float, size_m: float) -> float:
+def measure_rms_slope(heights_m: NDArray[Any], posting_m: float, size_m: float) -> float:
     """The rms slope of the ground within a square about the middle of a grid, NaN for none.
 
     heights_m (n, n), NaN for holes, posting_m apart: state an error by a grid of about 2 km

@@ -26,7 +26,9 @@ LATTICE = 33  # places along a row where the size of a pixel is found; it is lin
 
 
 @kernel
-def _rise(heights: Float32Array, row: int, col: int, down: int, right: int, offset: float) -> float:
+def _measure_rise(
+    heights: Float32Array, row: int, col: int, down: int, right: int, offset: float
+) -> float:
     """Height ahead less height behind of a node, `offset` postings along (down, right) each."""
     near = int(offset)
     share = offset - near
@@ -40,7 +42,7 @@ def _rise(heights: Float32Array, row: int, col: int, down: int, right: int, offs
 
 
 @kernel
-def _components(
+def _compute_components(
     heights: Float32Array,
     step_x: Float32Array,
     step_y: Float32Array,
@@ -56,11 +58,11 @@ def _components(
             if right > j or j + right >= cols or down > i or i + down >= rows:
                 out[0, i, j] = out[1, i, j] = np.nan
                 continue
-            out[0, i, j] = _rise(heights, i, j, 0, 1, x) / (2.0 * x * step_x[i, j])
-            out[1, i, j] = -_rise(heights, i, j, 1, 0, y) / (2.0 * y * step_y[i, j])
+            out[0, i, j] = _measure_rise(heights, i, j, 0, 1, x) / (2.0 * x * step_x[i, j])
+            out[1, i, j] = -_measure_rise(heights, i, j, 1, 0, y) / (2.0 * y * step_y[i, j])
 
 
-def slope_components(
+def compute_slope_components(
     heights: Float32Array,
     step_x_m: float | Float32Array,
     step_y_m: float | Float32Array,
@@ -83,11 +85,11 @@ def slope_components(
         raise ValueError("a base and distances of pixels must be positive")
     out = np.empty((2, *shape), np.float32)
     grid = np.ascontiguousarray(heights, dtype=np.float32)
-    _components(grid, step_x, step_y, float(base_m), out)
+    _compute_components(grid, step_x, step_y, float(base_m), out)
     return out
 
 
-def slope_degrees(components: Float32Array) -> Float32Array:
+def convert_to_degrees(components: Float32Array) -> Float32Array:
     """Slopes (rows, cols), deg, from their two components."""
     degrees: Float32Array = np.degrees(np.arctan(np.hypot(components[0], components[1])))
     return degrees
@@ -135,7 +137,7 @@ class SlopeSummary:
         return float(np.searchsorted(total, share * total[-1]) + 1) * BIN_DEG
 
 
-def pixel_sizes(source: DemSource, rows: IntArray) -> tuple[Float32Array, Float32Array]:
+def measure_pixels(source: DemSource, rows: IntArray) -> tuple[Float32Array, Float32Array]:
     """Distances (len(rows), cols), m, from each pixel of some rows to the next column and row."""
     cols = source.shape[1]
     at = np.unique(np.linspace(0, cols - 1, LATTICE).round())
@@ -153,7 +155,7 @@ def pixel_sizes(source: DemSource, rows: IntArray) -> tuple[Float32Array, Float3
     return sizes[0], sizes[1]
 
 
-def dem_slopes(source: DemSource, base_m: float = BASE_M) -> Iterator[tuple[int, Float32Array]]:
+def iterate_slopes(source: DemSource, base_m: float = BASE_M) -> Iterator[tuple[int, Float32Array]]:
     """First row and slopes (rows, cols), deg, NaN for none, of one strip after another.
 
     The size of a pixel is found on the body's sphere at each place of the map.
@@ -175,7 +177,7 @@ def dem_slopes(source: DemSource, base_m: float = BASE_M) -> Iterator[tuple[int,
     lowest, highest = np.inf, -np.inf
     for top in range(0, rows, many):
         bottom = min(top + many, rows)
-        sizes = pixel_sizes(source, np.arange(top, bottom))
+        sizes = measure_pixels(source, np.arange(top, bottom))
         reach = 1 + math.ceil(0.5 * base_m / float(sizes[1].min()))
         first, last = max(top - reach, 0), min(bottom + reach, rows)
         heights = source.read_window(first, 0, last - first, cols)
@@ -183,24 +185,26 @@ def dem_slopes(source: DemSource, base_m: float = BASE_M) -> Iterator[tuple[int,
         lowest = min(lowest, float(known.min(initial=np.inf)))
         highest = max(highest, float(known.max(initial=-np.inf)))
         sample.add(heights[top - first : bottom - first])
-        wider = pixel_sizes(source, np.arange(first, last))
-        slopes = slope_degrees(slope_components(heights, *wider, base_m))
+        wider = measure_pixels(source, np.arange(first, last))
+        slopes = convert_to_degrees(compute_slope_components(heights, *wider, base_m))
         yield top, slopes[top - first : bottom - first]
     if lowest <= highest:
         source.check_sample(sample.heights)
         source.check_heights(lowest, highest)
 
 
-def summarize(source: DemSource, base_m: float = BASE_M) -> tuple[SlopeSummary, Float32Array]:
+def summarise_slopes(
+    source: DemSource, base_m: float = BASE_M
+) -> tuple[SlopeSummary, Float32Array]:
     """Summarise the slopes of a model; also return all of them (rows, cols), deg, NaN for none.
 
     Raises NothingToDoError where no pixel has one: holes beside all heights.
     """
     summary = SlopeSummary(max(base_m, 2.0 * source.posting_m))
     all_slopes = np.full(source.shape, np.nan, np.float32)
-    for top, slopes in dem_slopes(source, base_m):
+    for top, slopes in iterate_slopes(source, base_m):
         all_slopes[top : top + len(slopes)] = slopes
-        across, down = pixel_sizes(source, np.arange(top, top + len(slopes)))
+        across, down = measure_pixels(source, np.arange(top, top + len(slopes)))
         summary.add(slopes, across * down)
     if not summary.area_m2:
         raise NothingToDoError(

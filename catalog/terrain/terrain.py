@@ -68,7 +68,7 @@ class Terrain(Protocol):
     def overhangs(self, projection: MapProjection, posting_m: float, size: int) -> bool:
         """Whether a vertical line through a node of a map grid meets the ground several times."""
 
-    def beyond(
+    def make_outer_grids(
         self, projection: MapProjection, posting_m: float, size: int
     ) -> Sequence[tuple[Float32Array, float]]:
         """Coarser grids (size, size) and postings, finer first, for the rest of a small body.

@@ -197,17 +197,17 @@ class FrameMaker:
         tdb_s = utc_to_tdb_s(utc)
         number = next(filter(kernels.has_orbit, body.spice.naif), body.spice.naif[0])
         correction = spice.correction
-        if correction != "NONE" and not kernels.joins_barycentre(number, tdb_s):
+        if correction != "NONE" and not kernels.has_barycentre_link(number, tdb_s):
             correction = "NONE"
             self.notes[NO_LIGHT_TIME] = None
-        seen_m, light_s = kernels.apparent_m(number, spice.craft, tdb_s, correction)
+        seen_m, light_s = kernels.compute_apparent_m(number, spice.craft, tdb_s, correction)
         attitude = Rotation.from_matrix(kernels.rotation(spice.frame, tdb_s))
         # the picture shows the body as it stood when the light left it
         body_from_inertial = Rotation.from_matrix(self.motion.body_from_inertial(tdb_s - light_s))
         position = body_from_inertial.apply(-seen_m)
         attitude = self.table.rotation * attitude * body_from_inertial.inv()
         sun = self.motion.sun_body(tdb_s - light_s)
-        source = kernel_sigmas(*kernels.qualities(spice.craft, tdb_s))
+        source = kernel_sigmas(*kernels.judge_qualities(spice.craft, tdb_s))
         return self._frame(path, file, (utc, tdb_s), attitude, position, sun, source)
 
     def _frame(

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from catalog.bodies.body import is_body_file, load_body
-from catalog.bodies.ephemeris import Ephemeris, motion_of
+from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.kernels import KernelSet
 from catalog.config import nearest_name, resource
 from catalog.errors import ConfigError, DataError, UsageError
@@ -239,7 +239,7 @@ class _Importer:
         if is_body_file(name) and not self._options.body:
             name = str(where.parent / name)
         if self._body is None:
-            self._body = name, motion_of(load_body(name), self._options.kernels)
+            self._body = name, load_ephemeris(load_body(name), self._options.kernels)
         folder, motion = self._body
         if name != folder or (target and not body_of_target(target, [motion.body.name])):
             shown = target.upper() or name

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from catalog.bodies.epochs import tdb_s_after, utc_from_tdb_s
+from catalog.bodies.epochs import compute_tdb_s_after, utc_from_tdb_s
 from catalog.errors import ConfigError, DataError
 from optnav_cli.archives.label import ArchiveLabel
 
@@ -139,7 +139,7 @@ def read_time(label: ArchiveLabel, keys: TimeKeys) -> tuple[str, float]:
         began = _utc_day(int(year), int(day))
         seconds = 3600.0 * hour + 60.0 * minute + second + 1e-3 * millisecond + half
     try:
-        tdb_s = float(tdb_s_after(began, [seconds])[0])
+        tdb_s = float(compute_tdb_s_after(began, [seconds])[0])
     except DataError as error:
         raise DataError(f"{label.path}: {key}: {error}") from None
     return utc_from_tdb_s(tdb_s, 3), tdb_s

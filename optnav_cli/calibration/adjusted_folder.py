@@ -279,7 +279,7 @@ def _write_body(place: Path, run: RunFolder, common: CommonState) -> None:
         return
     before = body.catalog_frame
     turn = before.stated_from_catalog * common.turn
-    offset = before.stated(common.origin_m)
+    offset = before.transform_to_stated(common.origin_m)
     frame = CatalogFrame(
         turn_deg=_unpack_vector(np.degrees(turn.as_rotvec())),
         offset_m=_unpack_vector(offset),

@@ -22,7 +22,7 @@ from scipy.special import chdtri, gammaln
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.config import Positive, load_toml, resource
-from catalog.correlation.ncc import correlated, filtered
+from catalog.correlation.ncc import correlated, filter_grid
 from catalog.geometry.vectors import squared_distance
 from optnav_cli.control_points.point_match import CHANCE_NODES_PER_SAMPLE
 from optnav_cli.estimation.resection import Resection
@@ -223,8 +223,8 @@ def point_light(
     Shading is linear in the horizontal part of the Sun's direction, but for shadows: whatever the
     azimuth, the contrast is nearly a sum of the two templates, and is fitted as one.
     """
-    image = filtered(window, margin_nodes=margin_nodes)
-    pair = [filtered(grid, margin_nodes=margin_nodes) for grid in (template, aside)]
+    image = filter_grid(window, margin_nodes=margin_nodes)
+    pair = [filter_grid(grid, margin_nodes=margin_nodes) for grid in (template, aside)]
     # what has no contrast scores -1
     first, second = (np.where(c > -1.0, c, 0.0) for c in (correlated(g, image) for g in pair))
     values = [grid.values - grid.values.mean() for grid in pair]

@@ -19,7 +19,7 @@ from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.vectors import unit
 from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import PlanesMeta
-from catalog.terrain.error_model import TerrainErrorModel, rms_slope
+from catalog.terrain.error_model import TerrainErrorModel, measure_rms_slope
 from optnav_cli.control_points.reference import Reference
 
 # References kept ready to render; one of 80 nodes and 5 levels takes 130 kB.
@@ -149,7 +149,7 @@ class ControlPointField:
                 patch = min(
                     reference.patches, key=lambda patch: abs(np.log(patch.posting_m / box_m))
                 )
-                slope = rms_slope(patch.heights_m, patch.posting_m, size)
+                slope = measure_rms_slope(patch.heights_m, patch.posting_m, size)
                 sigmas[k] = error.point_sigma_m(size, slope)
         return sigmas
 
@@ -191,7 +191,9 @@ class ControlPointField:
             emission = np.radians(min(emission_max_deg + self._lean_deg, 90.0))
             sine = min(lowest * float(np.sin(emission)) / distance, 1.0)
             reach_deg = max(float(np.degrees(emission - np.arcsin(sine))), 0.0)
-            cells = layer.grid.within(np.degrees(lat), np.degrees(lon), reach_deg + CELL_SLACK_DEG)
+            cells = layer.grid.find_cells_within(
+                np.degrees(lat), np.degrees(lon), reach_deg + CELL_SLACK_DEG
+            )
             rows = layer.ids.searchsorted(cells)
             rows = rows[rows < len(layer.ids)]
             rows = rows[layer.ids[rows] == cells[: len(rows)]]

@@ -12,7 +12,7 @@ from itertools import compress
 import numpy as np
 from scipy.linalg import block_diag
 
-from catalog.correlation.ncc import blur_nodes, cropped, thinned, thinning
+from catalog.correlation.ncc import blur_nodes, choose_thinning, crop, downsample_blurred
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance, unit
@@ -292,7 +292,7 @@ def _light(frame: FrameContext, last: _Pass, k: int) -> acceptance.PointLight:
     posting, side = reference.patches[level].posting_m, _template_side(frame, last, k)
     blur = blur_nodes(posting, float(frame.points.finest_postings_m(np.array([index]))[0]))
     aside_nodes = acceptance.acceptance_limits().light.nodes
-    margin, room = (int(np.ceil(n * thinning(blur))) for n in (MARGIN_NODES, aside_nodes))
+    margin, room = (int(np.ceil(n * choose_thinning(blur))) for n in (MARGIN_NODES, aside_nodes))
     heights = reference.heights(level, side + 2 * (margin + room))
     turn = pose.turn
     pixels = frame.camera.project_from_body(
@@ -302,12 +302,14 @@ def _light(frame: FrameContext, last: _Pass, k: int) -> acceptance.PointLight:
     up, sun = unit(frame.points.verticals[index]), frame.sun_body
     aside = np.cross(up, sun) + up * (up @ sun)
     template, other = (
-        reference.render(level, cropped(heights, room), light, pose.position_m)
+        reference.render(level, crop(heights, room), light, pose.position_m)
         for light in (sun, aside)
     )
     if blur:
         even = side % 2 == 0
-        template, other, window = (thinned(g, blur, even) for g in (template, other, window))
+        template, other, window = (
+            downsample_blurred(g, blur, even) for g in (template, other, window)
+        )
     return acceptance.point_light(template, other, window, MARGIN_NODES)
 
 

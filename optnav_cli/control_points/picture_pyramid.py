@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.geometry.grid import bicubic_at
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.grid import interpolate_bicubic
+from catalog.geometry.kernel import inplace_kernel, kernel
 from optnav_cli.camera.camera import PIXEL_SIGMA_PX, Camera
 from optnav_cli.control_points.smoothness import find_count_step
 
@@ -141,9 +141,9 @@ def _sample(
         for k in range(size):
             if top[k] == NONE:
                 if row[k] == row[k]:
-                    out[first + k] = bicubic_at(level, row[k], col[k])
+                    out[first + k] = interpolate_bicubic(level, row[k], col[k])
                 continue
-            # as bicubic_at, in single precision, which a picture is stored in: half the time;
+            # as interpolate_bicubic, in single precision, as a picture is stored: half the time;
             # indices are unsigned: none counts from the end
             i, j = np.uint64(top[k]), np.uint64(left[k])
             x0, x1, x2, x3 = across[0, k], across[1, k], across[2, k], across[3, k]
@@ -156,7 +156,7 @@ def _sample(
             out[first + k] = value
 
 
-@bare_kernel
+@inplace_kernel
 def _weights(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """`cubic_weights` in single precision."""
     half, two = np.float32(0.5), np.float32(2.0)

@@ -8,24 +8,29 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.correlation.ncc import (
-    cropped,
-    laid_at,
-    low_pass,
+    add_remainder_covariance,
+    choose_thinning,
+    crop,
+    cut_match,
+    downsample_blurred,
+    filter_grid_quickly,
+    filter_low_pass,
     match_cut,
     match_ncc,
-    quick_filtered,
-    thinned,
-    thinning,
-    with_remainder_covariance,
 )
 from catalog.correlation.peak import NODES_PER_SAMPLE, Match
 from catalog.correlation.relief_albedo import (
     ReliefAlbedo,
     ReliefMatch,
-    relief_match,
-    relief_patterns,
+    make_relief_match,
+    make_relief_patterns,
 )
-from catalog.correlation.similarity import Matcher, best_pair, match_similarity, turned
+from catalog.correlation.similarity import (
+    Matcher,
+    find_best_pair,
+    match_similarity,
+    rotate_and_scale,
+)
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.picture_pyramid import PicturePyramid, as_seen, blur_px
@@ -127,11 +132,11 @@ class PointMatch:
     albedo: AlbedoFit | None = None
     under_albedo: bool = False
 
-    def under(self, strengths: ReliefAlbedo) -> "PointMatch":
+    def apply_albedo(self, strengths: ReliefAlbedo) -> "PointMatch":
         """The match with albedo that follows relief so strongly, where that may be."""
         if self.albedo is None or self.albedo.laid is None:
             return self
-        at = self.albedo.laid.under(strengths)
+        at = self.albedo.laid.apply_albedo(strengths)
         return replace(self.albedo.placed(at), under_albedo=True)
 
 
@@ -149,14 +154,14 @@ def match_point(
 
     sun_body (3,) unit vector, body frame
     """
-    level, blur_nodes, step = plan.level, plan.blur_nodes, thinning(plan.blur_nodes)
+    level, blur_nodes, step = plan.level, plan.blur_nodes, choose_thinning(plan.blur_nodes)
     margin, search_nodes = _borders(plan)
     posting = reference.patches[level].posting_m
     border = search_nodes + margin
     heights = reference.heights(level, plan.template_nodes + 2 * border)
-    around = cropped(heights, search_nodes)
+    around = crop(heights, search_nodes)
     sharp = reference.render(level, around, sun_body, pose.position_m)
-    refusal = _rejection_of_template(cropped(sharp, margin) if blur_nodes else sharp)
+    refusal = _rejection_of_template(crop(sharp, margin) if blur_nodes else sharp)
     if refusal:
         return PointMatch(level, refusal)
     surface = reference.surface(level, heights)
@@ -164,7 +169,7 @@ def match_point(
     pixels = camera.project_from_body(surface, pose.position_m, camera_from_body)
     window = shown = sampled = picture.sample(pixels, posting / plan.metres_per_pixel)
     if plan.soft_nodes:
-        window = low_pass(window, plan.soft_nodes)
+        window = filter_low_pass(window, plan.soft_nodes)
     known, _ = _shares(sampled, border)
     if known < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
         return PointMatch(level, OUTSIDE)
@@ -172,8 +177,8 @@ def match_point(
     template = as_seen(sharp, pixels, lens_px)
     even = plan.template_nodes % 2 == 0
     if blur_nodes:
-        template = thinned(template, blur_nodes, even)
-        window = shown = thinned(window, blur_nodes, even)
+        template = downsample_blurred(template, blur_nodes, even)
+        window = shown = downsample_blurred(window, blur_nodes, even)
     rendered = template
     template, match = _found(template, window, plan, matcher)
     samples, at_nodes = 0.0, match
@@ -190,10 +195,10 @@ def match_point(
         shift, jacobian = _displacement(pixels, at, plan.template_nodes)
         part = None
         if blur_nodes:
-            shown = np.isfinite(cropped(sampled, border))
-            middle = cropped(surface, border)[shown].mean(axis=0)
+            shown = np.isfinite(crop(sampled, border))
+            middle = crop(surface, border)[shown].mean(axis=0)
             seen = camera.project_from_body(middle, pose.position_m, camera_from_body) + shift
-            corners = cropped(pixels, border)[[0, 0, -1, -1], [0, -1, -1, 0]] + shift
+            corners = crop(pixels, border)[[0, 0, -1, -1], [0, -1, -1, 0]] + shift
             part = SeenPart(middle, seen, corners, samples)
         covariance = None
         if np.isfinite(at.covariance).all():
@@ -213,18 +218,18 @@ def match_point(
         return found
 
     def lay() -> ReliefMatch | None:
-        patterns = relief_patterns(around, posting, sharp)
+        patterns = make_relief_patterns(around, posting, sharp)
         seen = np.stack([as_seen(each, pixels, lens_px) for each in patterns])
-        return relief_match(match, template, seen, window, MARGIN_NODES)
+        return make_relief_match(match, template, seen, window, MARGIN_NODES)
 
     return replace(found, albedo=AlbedoFit(lay, placed))
 
 
 def _borders(plan: SearchPlan) -> tuple[int, int]:
-    """Compute the margin of a template and the room of its search, nodes before the thinning."""
+    """Compute the margin of a template and the room of its search, nodes before the ."""
     if not plan.blur_nodes:
         return MARGIN_NODES, plan.search_nodes
-    step = thinning(plan.blur_nodes)
+    step = choose_thinning(plan.blur_nodes)
     room = max(plan.search_nodes, int(np.ceil(MIN_ROOM * step)))
     return int(np.ceil(MARGIN_NODES * step)), room
 
@@ -233,7 +238,7 @@ def thin_pixels(pixels: FloatArray, blur_nodes: float, even: bool) -> FloatArray
     """Compute where the nodes kept behind a blur lie, from pixels (n, n, 2) of all nodes."""
     if not blur_nodes:
         return pixels
-    axes = (thinned(pixels[..., k].astype(np.float32), blur_nodes, even) for k in (0, 1))
+    axes = (downsample_blurred(pixels[..., k].astype(np.float32), blur_nodes, even) for k in (0, 1))
     return np.stack(list(axes), axis=-1).astype(np.float64)
 
 
@@ -250,7 +255,7 @@ def _refuse_smooth(
     template (n, n)  and where it was found, in nodes that are kept
     shown (m, m), pixels (m, m, 2)  of the picture on these nodes, and where they lie in it
     """
-    laid = laid_at(shown, template, match), laid_at(pixels, template, match)
+    laid = cut_match(shown, template, match), cut_match(pixels, template, match)
     if shows_ground(*laid, MARGIN_NODES, count_step):
         return found
     return replace(found, reason=SMOOTH)
@@ -271,24 +276,24 @@ def _found(
     turns = plan.distortion.rolls, plan.distortion.scales
     remainder = not (plan.blur_nodes or plan.interim)
     if matcher is match_ncc:
-        image = quick_filtered(window, MARGIN_NODES)
+        image = filter_grid_quickly(window, MARGIN_NODES)
         if plan.distortion != NO_DISTORTION:
-            pair = best_pair(template, image, *turns, MARGIN_NODES, halved=True)
-            template = turned(template, *pair)
+            pair = find_best_pair(template, image, *turns, MARGIN_NODES, halved=True)
+            template = rotate_and_scale(template, *pair)
         return template, match_cut(template, window, image, MARGIN_NODES, remainder)
     if plan.distortion == NO_DISTORTION:
         match = matcher(template, window, MARGIN_NODES)
     else:
         match, *turn = match_similarity(template, window, *turns, matcher, MARGIN_NODES)
-        template = turned(template, *turn)
+        template = rotate_and_scale(template, *turn)
     if remainder:
-        match = with_remainder_covariance(match, template, window, MARGIN_NODES)
+        match = add_remainder_covariance(match, template, window, MARGIN_NODES)
     return template, match
 
 
 def _common_nodes(template: Float32Array, window: Float32Array, match: Match) -> int:
     """Nodes of a template without its margin that the window has too, where it was found."""
-    inner = cropped(template, MARGIN_NODES)
+    inner = crop(template, MARGIN_NODES)
     border = (window.shape[0] - inner.shape[0]) // 2
     row, col = border + int(np.rint(match.dy)), border + int(np.rint(match.dx))
     seen = window[row : row + inner.shape[0], col : col + inner.shape[1]]

@@ -7,12 +7,12 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.control_point import ControlPoint, Patch
-from catalog.geometry.ellipsoid import height_above
-from catalog.geometry.grid import bicubic_at, cubic_weights
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.ellipsoid import measure_height_above
+from catalog.geometry.grid import cubic_weights, interpolate_bicubic
+from catalog.geometry.kernel import inplace_kernel, kernel
 from catalog.geometry.projection import MapProjection, TangentPlane
 from catalog.rendering.map_view import render_map_near
-from catalog.rendering.shadow import shadow_field
+from catalog.rendering.shadow import make_shadow_field
 from catalog.rendering.swept import ShadowField
 
 
@@ -115,7 +115,7 @@ class Reference:
                 grids = [(next_one.heights_m, next_one.posting_m)]
             else:
                 self._kept_shadows.clear()  # those under another Sun
-            field = shadow_field(grids, sun_local, self.projection.radius_m, beyond)
+            field = make_shadow_field(grids, sun_local, self.projection.radius_m, beyond)
             self._kept_shadows[key] = field
         return self._kept_shadows[key]
 
@@ -149,16 +149,16 @@ def _fill_from(
                 continue
             value = np.nan
             if inner and 1.0 <= places[col] < last - 1.0:
-                # as bicubic_at, whose weights are the same for a whole row or column
+                # as interpolate_bicubic, whose weights are the same for a whole row or column
                 value = 0.0
                 for i in range(4):
                     value += weights[row, i] * lines[(r - 1 + i) % 4, col]
             if value != value:
-                value = bicubic_at(patch, places[row], places[col])
+                value = interpolate_bicubic(patch, places[row], places[col])
             window[row, col] = value
 
 
-@bare_kernel
+@inplace_kernel
 def _fill_line(
     places: FloatArray, weights: FloatArray, heights: Float32Array, line: FloatArray
 ) -> None:
@@ -189,7 +189,7 @@ def _carried_on(
     base = np.zeros(heights.shape)
     if radii_m is not None:
         level = plane.nodes(np.zeros_like(heights), posting_m)
-        base = height_above(level, plane.body_from_local[:, 2], radii_m)
+        base = measure_height_above(level, plane.body_from_local[:, 2], radii_m)
     room = known[0], heights.shape[0] - 1 - known[-1]
     over = np.pad(heights[inner, inner] - base[inner, inner], (room, room), mode="edge")
     return np.where(np.isnan(heights), base + over, heights).astype(np.float32)

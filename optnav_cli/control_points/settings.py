@@ -8,7 +8,7 @@ import msgspec
 
 from catalog.config import load_toml
 from catalog.errors import ConfigError
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from optnav_cli.frames.run_settings import SpiceSettings
 
 Share = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
@@ -86,10 +86,10 @@ def load_settings(path: Path) -> NavigateSettings:
     Raises ConfigError for a wrong file and for a shared kernel that is not there.
     """
     settings = load_toml(path, NavigateSettings)
-    kernels = tuple(str(path_of(name, path.parent)) for name in settings.spice.kernels)
+    kernels = tuple(str(resolve_path(name, path.parent)) for name in settings.spice.kernels)
     stars = settings.stars
     if stars.catalogue is not None:
-        found = str(path_of(stars.catalogue, path.parent))
+        found = str(resolve_path(stars.catalogue, path.parent))
         stars = msgspec.structs.replace(stars, catalogue=found)
     elif stars.epoch is not None:
         raise ConfigError(f"{path}: [stars] epoch is that of `catalogue`, which is not set")

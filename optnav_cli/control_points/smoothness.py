@@ -8,7 +8,7 @@ picture shows that relief. Rounding of their counts adds stripes.
 import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
-from catalog.correlation.ncc import cropped, quick_high_passed
+from catalog.correlation.ncc import crop, filter_high_pass_quickly
 
 # Along each side of the surface over the picture that is taken out: ground in 48 to 96 nodes keeps
 # 0.85 to 1.00 of its variance without it, smooth fields little but rounding.
@@ -35,11 +35,13 @@ def shows_ground(
     Returns whether the high-passed contrast is above rounding and not that of a smooth picture.
     """
     valid = np.isfinite(patch) & np.isfinite(pixels[..., 0]) & np.isfinite(pixels[..., 1])
-    shown = cropped(valid, margin_nodes)
+    shown = crop(valid, margin_nodes)
     if not shown.any():
         return False
     smooth = _smooth_picture(patch, pixels, valid)
-    both = quick_high_passed((patch, (patch - smooth).astype(np.float32)), valid, margin_nodes)
+    both = filter_high_pass_quickly(
+        (patch, (patch - smooth).astype(np.float32)), valid, margin_nodes
+    )
     whole, rough = (float(np.mean(np.square(grid[shown], dtype=np.float64))) for grid in both)
     return rough > ROUNDING_VARIANCE * count_step**2 and rough > MIN_GROUND_SHARE * whole
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.correlation.ncc import blur_nodes, thinning
+from catalog.correlation.ncc import blur_nodes, choose_thinning
 from catalog.correlation.peak import RIVAL_DISTANCE
-from catalog.correlation.relief_albedo import ReliefAlbedo, frame_strengths
+from catalog.correlation.relief_albedo import ReliefAlbedo, estimate_strengths
 from catalog.errors import NoSolutionError
 from optnav_cli.control_points import error_model
 from optnav_cli.control_points.expectation import (
@@ -158,7 +158,7 @@ class PointSearch:
         plan = self._plan(k, match.level, room, interim=True)
         node_m = float(self._postings_m(k)[match.level])
         if plan.blur_nodes:
-            step = thinning(plan.blur_nodes)
+            step = choose_thinning(plan.blur_nodes)
             plan, node_m = replace(plan, search_nodes=int(np.ceil(room * step))), node_m * step
         again = self._searched(k, plan, MatchGates(0.0, self.frame.settings.match.rival_ratio))
         if again.reason or again.pixel is None or match.pixel is None:
@@ -231,7 +231,7 @@ def match_all(search: PointSearch, chosen: Mapping[int, int]) -> tuple[list[Poin
     ]
     albedo = _albedo_of(matches)
     if albedo is not None:
-        matches = [match.under(albedo) for match in matches]
+        matches = [match.apply_albedo(albedo) for match in matches]
     return _with_best_levels(search, matches, doubtful, albedo), at_finest
 
 
@@ -247,7 +247,7 @@ def _albedo_of(matches: list[PointMatch]) -> ReliefAlbedo | None:
     laid = [fit.laid for fit, _ in fits if fit.laid is not None]
     if not laid or np.median([one.explained for one in laid]) < MIN_ALBEDO_SHARE:
         return None
-    return frame_strengths(laid)
+    return estimate_strengths(laid)
 
 
 def _with_best_levels(
@@ -267,7 +267,7 @@ def _with_best_levels(
             level = matches[k].level + step
             if level < len(search.frame.points.postings_m(int(search.view.index[k]))):
                 match = search.match(k, level, coarser=True)
-                trial[k] = match if albedo is None else match.under(albedo)
+                trial[k] = match if albedo is None else match.apply_albedo(albedo)
                 if trial[k].level == level:
                     there.append(k)
         for k, error in _expected_errors_px2(search, trial, there).items():

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.kernel import inplace_kernel, kernel
 
 STRIPS, DUSK_STRIPS = 48, 12  # of the seen surface that is lit by all, and by a part, of the source
 DARKEST, STEEPEST = 0.02, 1.5  # least cosine under a logarithm, largest angle of a tangent
@@ -19,7 +19,7 @@ LOBES = (8, 20, 50)  # exponents of the lobes of gloss
 LIT = 4 + len(LOBES)  # terms of the light: Lambert, two of Minnaert, rough facets, lobes
 
 
-@bare_kernel
+@inplace_kernel
 def _compute_lit_terms(
     psi: float, middle: float, theta: float, source: float, terms: FloatArray
 ) -> None:
@@ -99,7 +99,7 @@ def draw_columns(
     return brightness
 
 
-@bare_kernel
+@inplace_kernel
 def _add_strip(
     columns: FloatArray,
     last: float,

@@ -85,9 +85,9 @@ def named_field(body: Body, settings: ForcesSettings, beside: Path) -> HarmonicF
     """
     if settings.field is not None:
         # here, because what needs no field need not wait for the terrain readers
-        from catalog.terrain.dem.file import path_of
+        from catalog.terrain.dem.file import resolve_path
 
-        field = read_field(path_of(settings.field, beside), body)
+        field = read_field(resolve_path(settings.field, beside), body)
         _check_frame(field, body, settings)
     elif body.name in SHIPPED and settings.degree != 2:
         field = read_field(resource(SHIPPED[body.name][0]), body)

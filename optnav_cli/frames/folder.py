@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from catalog.bodies.body import Body, load_body
-from catalog.bodies.ephemeris import Ephemeris, motion_of
+from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, write_camera
@@ -61,7 +61,7 @@ def read_folder(path: str | Path, kernels: Sequence[Path] = ()) -> Folder:
         fault = "is no folder" if path.exists() else "there is no such folder"
         raise DataError(f"{path}: {fault}; wanted one with run.toml, frames.csv and cameras/")
     settings, body = read_run_settings(path / "run.toml")
-    attitude = FileAttitude(settings.attitude, body, motion_of(body, kernels))
+    attitude = FileAttitude(settings.attitude, body, load_ephemeris(body, kernels))
     cameras = read_cameras(path / "cameras")
     picked = (path / POINTS_CSV).exists()  # then nothing else solves its frames
     frames = read_frames(path / "frames.csv", attitude, cameras, timeless=picked)

@@ -131,7 +131,7 @@ def _frame(
         sun = _unit(row, SUN, "the Sun's direction sun_x, sun_y, sun_z")
         sun_body = None if tdb_s is None else attitude.ephemeris.sun_body(tdb_s)
         if sun is not None:
-            sun_body = attitude.places.catalog_direction(sun / float(np.linalg.norm(sun)))
+            sun_body = attitude.places.rotate_to_catalog(sun / float(np.linalg.norm(sun)))
         turn = None if rotation is None else attitude.read(rotation, time)
         return Frame(
             file=file,
@@ -204,7 +204,7 @@ def _position(row: CsvRow, attitude: FileAttitude) -> tuple[FloatArray | None, f
         )
     if sigma is None:
         raise DataError("position_sigma_m is empty; a prior position needs its sigma")
-    return attitude.places.catalog(position), sigma / attitude.places.scale
+    return attitude.places.transform_to_catalog(position), sigma / attitude.places.scale
 
 
 def _cells(
@@ -219,9 +219,9 @@ def _cells(
         cells |= zip(QUATERNION, quaternion_from_rotation(rotation), strict=True)
     places = attitude.places
     if frame.position_m is not None:
-        cells |= zip(POSITION, places.stated(frame.position_m), strict=True)
+        cells |= zip(POSITION, places.transform_to_stated(frame.position_m), strict=True)
     if frame.position_sigma_m is not None:
         cells["position_sigma_m"] = frame.position_sigma_m * places.scale
     if frame.sun_body is not None:
-        cells |= zip(SUN, places.stated_direction(frame.sun_body), strict=True)
+        cells |= zip(SUN, places.rotate_to_stated(frame.sun_body), strict=True)
     return cells

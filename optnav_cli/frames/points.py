@@ -10,7 +10,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.config import nearest_name
 from catalog.errors import DataError
-from catalog.geometry.ellipsoid import surface_at
+from catalog.geometry.ellipsoid import project_to_surface
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.tables import CsvRow
 from optnav_cli.frames.run_settings import PointsSettings
@@ -91,7 +91,7 @@ def places_of(
         directions = xyz_from_latlon(lat, lon, np.ones(len(lat)))
         base = np.full(len(lat), body.radius_m)
         if settings.height == "ellipsoid":
-            base = np.linalg.norm(surface_at(directions, body.radii_m), axis=1)
+            base = np.linalg.norm(project_to_surface(directions, body.radii_m), axis=1)
         on_radius: FloatArray = directions * (base + heights_m)[:, None]
         return on_radius
     a, _, c = body.radii_m

@@ -69,7 +69,7 @@ def _truth(row: CsvRow, attitude: FileAttitude) -> Truth:
     if np.abs(position).max() > MAX_DISTANCE_M:
         raise DataError(f"the position lies more than {MAX_DISTANCE_M:g} m from the body")
     tdb_s = utc_to_tdb_s(row["utc"], "utc")
-    position_m = attitude.places.catalog(position)
+    position_m = attitude.places.transform_to_catalog(position)
     if quaternion is None:
         return Truth(
             row["file"], row["utc"], tdb_s, position_m, Rotation.identity(), has_attitude=False
@@ -80,7 +80,7 @@ def _truth(row: CsvRow, attitude: FileAttitude) -> Truth:
 
 def _cells(truth: Truth, attitude: FileAttitude) -> dict[str, object]:
     cells: dict[str, object] = {"file": truth.file, "utc": truth.utc}
-    cells |= zip(POSITION, attitude.places.stated(truth.position_m), strict=True)
+    cells |= zip(POSITION, attitude.places.transform_to_stated(truth.position_m), strict=True)
     if truth.has_attitude:
         rotation = attitude.written(truth.camera_from_body, truth.tdb_s)
         cells |= zip(QUATERNION, quaternion_from_rotation(rotation), strict=True)

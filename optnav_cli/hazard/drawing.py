@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from catalog.arrays import ByteArray, Float32Array
-from catalog.terrain.slopes import slope_degrees
+from catalog.terrain.slopes import convert_to_degrees
 from optnav_cli.hazard.hazard_map import HazardMap
 from optnav_cli.hazard.pads import REFUSED
 from optnav_cli.output.canvas import Canvas, scale_to_eight_bits, shade_picture
@@ -58,7 +58,7 @@ def draw_overview(mapped: HazardMap) -> ByteArray:
         ("pads", _mark_pads(mapped, _scale(gray, factor), factor)),
     ]
     if mapped.slopes is not None:
-        degrees = slope_degrees(np.stack([mapped.slopes.toward, mapped.slopes.across]))
+        degrees = convert_to_degrees(np.stack([mapped.slopes.toward, mapped.slopes.across]))
         colours = map_colours(degrees, MAX_SLOPE_DEG)
         colours[~view.valid] = OUTSIDE_COLOUR
         title = f"slopes on 3 m: green 0, red {MAX_SLOPE_DEG:g} deg"

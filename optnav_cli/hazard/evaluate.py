@@ -20,8 +20,8 @@ from catalog.terrain.slopes import (
     BASE_M,
     CRITICAL_DEG,
     DANGEROUS_DEG,
-    slope_components,
-    slope_degrees,
+    compute_slope_components,
+    convert_to_degrees,
 )
 from optnav_cli.frames.tables import JUDGED_PADS, PADS
 from optnav_cli.hazard.settings import PADS_FILE
@@ -175,7 +175,9 @@ def measure_pad_slopes(
     projection = Stereographic(math.radians(lat_deg), math.radians(lon_deg), source.body.radius_m)
     fine = source.heights_at(*projection.latlon(*np.meshgrid(at, -at)))
     heights = fine.reshape(nodes, parts, nodes, parts).mean(axis=(1, 3), dtype=np.float64)
-    slopes = slope_degrees(slope_components(heights.astype(np.float32), step, step, BASE_M))
+    slopes = convert_to_degrees(
+        compute_slope_components(heights.astype(np.float32), step, step, BASE_M)
+    )
     return slopes[MARGIN:-MARGIN, MARGIN:-MARGIN]
 
 

@@ -17,7 +17,7 @@ from catalog.bodies.body import Body
 from catalog.errors import DataError
 from catalog.geometry.grid import sample_bicubic
 from catalog.rasters import TERRAIN, open_raster, reading_raster
-from catalog.terrain.dem.file import place_of
+from catalog.terrain.dem.file import read_georeference
 from catalog.terrain.dem.georeference import Georeference
 from catalog.terrain.dem.label import read_map_label
 from catalog.terrain.dem.validity import Validity
@@ -80,10 +80,10 @@ def read_slopes(path: Path, body: Body) -> PriorSlopes:
                 "gdal_translate -projwin"
             )
         remedy = "give it one with gdal_edit.py -a_srs"
-        georeference = place_of(path, None, None, body, dataset, remedy)
+        georeference = read_georeference(path, None, None, body, dataset, remedy)
         stored = dataset.read(1, masked=True)
         degrees = stored.astype(np.float32).filled(np.nan)
-        validity = Validity.of(dataset, special=read_map_label(path, dataset).special)
+        validity = Validity.read(dataset, special=read_map_label(path, dataset).special)
         degrees[~validity.valid(dataset, stored.data)] = np.nan
     known = degrees[np.isfinite(degrees)]
     if not known.size:

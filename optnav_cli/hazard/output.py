@@ -15,7 +15,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.rasters import encode_geotiff
 from catalog.store.geopackage import stereographic_wkt
-from catalog.terrain.slopes import slope_degrees
+from catalog.terrain.slopes import convert_to_degrees
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
@@ -131,7 +131,7 @@ class HazardOutput:
         if mapped.slopes is None:
             return
         slopes = mapped.slopes
-        degrees = slope_degrees(np.stack([slopes.toward, slopes.across]))
+        degrees = convert_to_degrees(np.stack([slopes.toward, slopes.across]))
         hidden = ~view.valid
         per_tangent = np.degrees(1.0 / (1.0 + np.tan(np.radians(degrees)) ** 2))
         real = {

@@ -17,7 +17,7 @@ import numpy as np
 
 from catalog.arrays import BoolArray, ByteArray, Float32Array, FloatArray
 from catalog.errors import NoSolutionError
-from catalog.terrain.slopes import slope_degrees
+from catalog.terrain.slopes import convert_to_degrees
 from optnav_cli.hazard.ground_view import MIN_PAD_CELLS, PictureOnGround, average_boxes
 from optnav_cli.hazard.model import HazardModel
 from optnav_cli.hazard.shading import ShadedSlopes
@@ -93,7 +93,7 @@ def rate_slopes(
     """Rate each pad by its expected share of dangerous slopes; refuse shaded and cut ones."""
     cells = count_pad_cells(view, pad_m)
     shown = average_boxes(view.valid.astype(np.float32), cells, 0.0) >= WHOLE
-    degrees = slope_degrees(np.stack([slopes.toward, slopes.across]))
+    degrees = convert_to_degrees(np.stack([slopes.toward, slopes.across]))
     shares = {
         "expected_dangerous_share": average_boxes(slopes.dangerous, cells, 0.0),
         "expected_critical_share": average_boxes(slopes.critical, cells, 0.0),

@@ -24,7 +24,7 @@ from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import unit
-from catalog.photometry.laws import law_by_name
+from catalog.photometry.laws import find_law
 from catalog.terrain.slopes import BASE_M, CRITICAL_DEG, DANGEROUS_DEG
 from optnav_cli.hazard.ground_view import PictureOnGround, average_boxes, resize_grid
 from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, interpolate_terms
@@ -134,7 +134,7 @@ class Curves(NamedTuple):
 def _compute_curves(view: PictureOnGround, law: str) -> Curves:
     """Tabulate a law at the corners, edges and middle of a view."""
     rows, cols = view.brightness.shape
-    azimuth, reflectance = view.sun_azimuth, law_by_name(law)
+    azimuth, reflectance = view.sun_azimuth, find_law(law)
     toward = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
     left = np.array([-toward[1], toward[0], 0.0])
     grazing = view.sun[2] / math.hypot(view.sun[0], view.sun[1])

@@ -15,7 +15,7 @@ from catalog.places import check_apart
 from catalog.rasters import DESCRIPTION, encode_geotiff, is_described
 from catalog.terrain.dem.georeference import Georeference
 from catalog.terrain.dem.source import DemSource
-from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, SlopeSummary, summarize
+from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, SlopeSummary, summarise_slopes
 from optnav_cli.hazard.drawing import MAX_SLOPE_DEG, OUTSIDE_COLOUR, TEXT_COLOUR, map_colours
 from optnav_cli.output.canvas import Canvas, encode_picture
 from optnav_cli.output.wording import align_table
@@ -78,7 +78,7 @@ def measure_slopes(
         check_apart(output, [dem])
     source = DemSource.open_alone(dem, load_body(body), nodata)
     try:
-        summary, degrees = summarize(source, base_m)
+        summary, degrees = summarise_slopes(source, base_m)
         georeference = source.georeference
     finally:
         source.close()

@@ -22,7 +22,7 @@ from catalog.errors import OutputError
 from catalog.files import replacing_file
 from catalog.geometry.ellipsoid import distance_to_sphere, geodetic_from_xyz
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
-from catalog.geometry.map_pieces import area_pieces, clip_ring, line_pieces
+from catalog.geometry.map_pieces import clip_ring, split_area, split_line
 from catalog.geometry.vectors import perpendicular_basis, unit
 from catalog.store.connection import SIDECARS
 from catalog.store.geopackage import (
@@ -198,7 +198,7 @@ def _tracks(run: RunFolder, srs_id: int) -> Iterator[Feature]:
                 passes.append([])
             passes[-1].append(here)
         lines = [np.array([place.position_m for place in way]) for way in passes if len(way) > 1]
-        pieces = [piece for line in lines for piece in line_pieces(_on_map(line, body))]
+        pieces = [piece for line in lines for piece in split_line(_on_map(line, body))]
         geometry, box = _parts(TRACK.kind, pieces, srs_id)
         times = places[0][1].utc, places[-1][1].utc
         yield (number, geometry, camera, *times, len(places)), box
@@ -237,7 +237,7 @@ def _footprints(run: RunFolder, srs_id: int) -> Iterator[Feature]:
             continue
         turn = s.camera_from_body.as_matrix()
         rings = footprint_of(camera, s.position_m, turn, body.radii_m)
-        pieces = [piece for ring in rings for piece in area_pieces(_on_map(ring, body))]
+        pieces = [piece for ring in rings for piece in split_area(_on_map(ring, body))]
         geometry, box = _parts(FOOTPRINTS.kind, pieces, srs_id)
         if geometry is not None:
             number += 1

@@ -49,7 +49,9 @@ def with_orbit(frames: Sequence[Frame], body: Body, folder: Path) -> list[Frame]
         covariance = turn @ spread[:3, :3] @ turn.T
         frame = body.catalog_frame  # that of files, which catalogs may lie beside
         priors[float(time)] = PositionPrior(
-            frame.catalog(turn @ state[:3]), frame.catalog_covariance(covariance), SOURCE
+            frame.transform_to_catalog(turn @ state[:3]),
+            frame.transform_covariance_to_catalog(covariance),
+            SOURCE,
         )
     return [
         frame

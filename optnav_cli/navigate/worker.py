@@ -20,7 +20,7 @@ import numpy as np
 
 from catalog.arrays import ByteArray, FloatArray
 from catalog.bodies.star_catalog import read_star_catalog
-from catalog.bodies.stars import BrightStars, bright_stars
+from catalog.bodies.stars import BrightStars, load_bright_stars
 from catalog.cache import Cache
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher
@@ -28,7 +28,7 @@ from catalog.correlation.surf64 import match_surf
 from catalog.errors import DataError, NoSolutionError
 from catalog.jobs.workspace import pack, unpack
 from catalog.store.reader import Catalog
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.settings import NavigateSettings
@@ -134,7 +134,7 @@ class RunInputs:
 
     def absolute(self) -> "RunInputs":
         """The same for processes that work in another folder."""
-        relief = None if self.relief is None else path_of(str(self.relief), Path.cwd())
+        relief = None if self.relief is None else resolve_path(str(self.relief), Path.cwd())
         catalogs = [path.absolute() for path in self.catalogs]
         orbit = None if self.orbit is None else self.orbit.absolute()
         pictures = self.pictures.absolute()
@@ -300,7 +300,7 @@ class FrameWorker:
         """The catalogue of the config, or the stars that ship. Raises DataError."""
         own = self.given.settings.stars
         if own.catalogue is None:
-            return bright_stars()
+            return load_bright_stars()
         return read_star_catalog(Path(own.catalogue), own.epoch)
 
     def _with_stars(self, frame: Frame, camera: Camera, answers: Answers) -> Frame:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.bodies.stars import bright_stars
+from catalog.bodies.stars import load_bright_stars
 from catalog.errors import DataError
 from catalog.geometry.vectors import unit
 from optnav_cli.dynamics.forces import NEIGHBOURS
@@ -43,14 +43,14 @@ def zenith_rows(folder: Folder, solutions: Sequence[Solution]) -> list[dict[str,
         return []
     places = np.array([_inertial(folder, solution, time)[0] for time, _, solution in seen])
     pole = _pole(places)
-    catalog, numbers = bright_stars(), list_navigation_stars()
+    catalog, numbers = load_bright_stars(), list_navigation_stars()
     rows: list[dict[str, object]] = []
     before: float | None = None
     for (time, frame, solution), place in zip(seen, places, strict=True):
         if time == before:
             continue  # a second picture of the same time: a star twice would be two measurements
         before = time
-        directions = catalog.at(time)[numbers]
+        directions = catalog.propagate(time)[numbers]
         where = SightPlace(
             place,
             folder.body.radius_m,
@@ -89,8 +89,8 @@ def _inertial(folder: Folder, solution: Solution, time: float) -> tuple[FloatArr
         raise DataError(f"{solution.file}: a solved row has no position")
     frame = folder.attitude.places
     turn = stated_turn(folder.motion, time)
-    place = turn.T @ frame.stated(position)
-    whole = turn.T @ frame.stated_covariance(covariance) @ turn
+    place = turn.T @ frame.transform_to_stated(position)
+    whole = turn.T @ frame.transform_covariance_to_stated(covariance) @ turn
     # what the body's rotation added when the place was turned to the body's axes
     across = float(place @ place) * np.eye(3) - np.outer(place, place)
     rotation = (folder.motion.error_m(time) / folder.body.radius_m) ** 2

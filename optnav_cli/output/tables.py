@@ -134,7 +134,7 @@ def format_fixed(value: float | None, decimals: int) -> str:
 def _list_solution_cells(solution: Solution, attitude: FileAttitude) -> dict[str, object]:
     cells: dict[str, object] = {name: getattr(solution, name) for name in SAME_IN_SOLUTION}
     if solution.position_m is not None:
-        position = attitude.places.stated(solution.position_m)
+        position = attitude.places.transform_to_stated(solution.position_m)
         cells |= zip(POSITION, position, strict=True)
         cells |= _list_place_cells(position)
         cells["height_m"] = float(cast(float, cells["radius_m"])) - attitude.body.radius_m
@@ -143,7 +143,7 @@ def _list_solution_cells(solution: Solution, attitude: FileAttitude) -> dict[str
             cells["lat_geodetic_deg"] = float(np.degrees(lat))
             cells["height_ellipsoid_m"] = float(height)
     if solution.covariance_m2 is not None:
-        covariance = attitude.places.stated_covariance(solution.covariance_m2)
+        covariance = attitude.places.transform_covariance_to_stated(solution.covariance_m2)
         cells |= {name: covariance[at] for name, at in zip(COVARIANCE, UPPER)}
     if solution.camera_from_body is not None:
         written = attitude.written(solution.camera_from_body, solution.utc)
@@ -214,8 +214,8 @@ def _read_solution(row: CsvRow, attitude: FileAttitude) -> Solution:
             )
         camera_from_body = None if written is None else attitude.read(written, row["utc"])
         sigma_rad = None if sigma is None else sigma * ARCSEC
-        covariance = attitude.places.catalog_covariance(_read_covariance(upper))
-        position_m = attitude.places.catalog(position)
+        covariance = attitude.places.transform_covariance_to_catalog(_read_covariance(upper))
+        position_m = attitude.places.transform_to_catalog(position)
         outcome = Fix(method, position_m, covariance, camera_from_body, sigma_rad, evidence, reason)
     source = row["attitude_source"]
     return Solution(row["file"], row["utc"], outcome, row["prior"], attitude_source=source)
@@ -265,7 +265,7 @@ def _list_landmark_cells(landmark: LandmarkRow, attitude: FileAttitude) -> dict[
         "status": "retired" if landmark.reason else "tracked",
         "reason": landmark.reason.text,
     }
-    cells |= _list_place_cells(attitude.places.stated(landmark.place_m))
+    cells |= _list_place_cells(attitude.places.transform_to_stated(landmark.place_m))
     cells |= {name: landmark.covariance_m2[at] for name, at in zip(GROUND_COVARIANCE, UPPER)}
     return cells
 

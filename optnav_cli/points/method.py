@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
-from catalog.geometry.ellipsoid import geodetic_from_xyz, normal_at
+from catalog.geometry.ellipsoid import compute_normals, geodetic_from_xyz
 from catalog.geometry.latlon import latlon_from_xyz, wrap_longitude_deg
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.settings import Construction
@@ -316,7 +316,7 @@ class _FrameOfPoints:
         )
 
     def _describe_position(self, pose: Pose) -> str:
-        position = self._how.attitude.places.stated(pose.position_m)
+        position = self._how.attitude.places.transform_to_stated(pose.position_m)
         lat, lon, radius = latlon_from_xyz(position)
         height = radius - self._body.radius_m
         if self._body.flattening:
@@ -357,11 +357,11 @@ class _FrameOfPoints:
     ) -> FloatArray:
         """Return places (n, 3) in the frame of the body's catalogs."""
         places = places_of(latlon_deg, heights_m, self._body, settings)
-        return self._how.attitude.places.catalog(places)
+        return self._how.attitude.places.transform_to_catalog(places)
 
     def _compute_zeniths(self, pose: Pose) -> FloatArray:
         """Compute angles (n,) of the lines of sight from the vertical at the points, rad."""
-        up = normal_at(self._places, self._body.radii_m)
+        up = compute_normals(self._places, self._body.radii_m)
         sights = pose.position_m - self._places
         sights /= np.linalg.norm(sights, axis=1, keepdims=True)
         zeniths: FloatArray = np.arccos(np.clip((up * sights).sum(axis=1), -1.0, 1.0))
@@ -376,7 +376,7 @@ class _FrameOfPoints:
         air = self._body.atmosphere
         if air is None:
             return self._places
-        up = normal_at(self._places, self._body.radii_m)
+        up = compute_normals(self._places, self._body.radii_m)
         sights = self._places - pose.position_m
         across = sights - (sights * up).sum(axis=1, keepdims=True) * up
         length = np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)

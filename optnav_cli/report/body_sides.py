@@ -168,7 +168,7 @@ def _side(
     def shown(places: FloatArray) -> FloatArray:
         sight = places - viewer
         away = np.linalg.norm(sight, axis=1)
-        _, met = mesh.first_hits(viewer, sight / away[:, None])
+        _, met = mesh.find_first_hits(viewer, sight / away[:, None])
         flat = np.column_stack([places @ right, places @ up])
         flat[met < away - hidden_m] = np.nan
         return flat

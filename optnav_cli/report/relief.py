@@ -146,7 +146,7 @@ def _own_heights(
     if damaged:  # the page is about the rest; `verify` lists the damage
         words = "%s: %d damaged control points are missing in the relief; run `catalog verify`"
         log.warning(words, catalog.path, damaged)
-    inside = np.isin(catalog.grid.cell_of(lat, lon), catalog.ids)
+    inside = np.isin(catalog.grid.find_cells(lat, lon), catalog.ids)
     if not inside.any() or np.isfinite(heights[inside]).mean() < MIN_COVERED:
         return None
     picture = np.full(lat_deg.shape, np.nan, np.float32)
@@ -172,7 +172,7 @@ def _spread(catalog: Catalog) -> IntArray:
     step = catalog.meta.cell_deg
     while len(rows) > MAX_PATCHES:
         step = min(1.5 * step, 90.0)
-        cells = CellGrid(step).cell_of(catalog.lat_deg[rows], catalog.lon_deg[rows])
+        cells = CellGrid(step).find_cells(catalog.lat_deg[rows], catalog.lon_deg[rows])
         rows = rows[np.unique(cells, return_index=True)[1]]
     return rows
 

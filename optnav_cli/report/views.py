@@ -210,7 +210,7 @@ def rows_of_pixels(
 ) -> Int32Array:
     """Row in the ascending `ids` of the cell under each place (...), -1 without one."""
     known = np.isfinite(lat_deg) & np.isfinite(lon_deg)
-    cells = grid.cell_of(np.where(known, lat_deg, 0.0), np.where(known, lon_deg, 0.0))
+    cells = grid.find_cells(np.where(known, lat_deg, 0.0), np.where(known, lon_deg, 0.0))
     rows = np.minimum(np.searchsorted(ids, cells), len(ids) - 1)
     return np.where(known & (ids[rows] == cells), rows, -1).astype(np.int32)
 

@@ -18,16 +18,16 @@ from rasterio.enums import ColorInterp
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
-from catalog.correlation.ncc import low_pass
+from catalog.correlation.ncc import filter_low_pass
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.rasters import TERRAIN, open_raster, reading_raster
 from catalog.rendering.rays.scene import Reflectivity
-from catalog.terrain.dem.file import nodata_range, path_of, place_of
+from catalog.terrain.dem.file import find_nodata_range, read_georeference, resolve_path
 from catalog.terrain.dem.label import read_map_label
-from catalog.terrain.dem.validity import Validity, unused_bands
+from catalog.terrain.dem.validity import Validity, list_unused_bands
 from catalog.terrain.synthetic import fractal
 from optnav_cli.simulation.sections import AlbedoMapSettings, TruthSettings
 
@@ -86,7 +86,7 @@ class AlbedoMap:
     """A brightness map over its mean, and what its finest octave holds; 1 and SHARE outside."""
 
     def __init__(self, settings: AlbedoMapSettings, body: Body) -> None:
-        path = path_of(settings.path, Path.cwd())
+        path = resolve_path(settings.path, Path.cwd())
         dataset = open_raster(path, TERRAIN, "check `albedo_map` in [truth]")
         with dataset, reading_raster(path):
             rows, cols = dataset.shape
@@ -101,7 +101,7 @@ class AlbedoMap:
             else:
                 self._place = _placed(path, body, dataset)
             values = _brightness(path, dataset, settings.coding)
-            for remark in unused_bands(dataset, _bands(dataset), "brightness"):
+            for remark in list_unused_bands(dataset, _bands(dataset), "brightness"):
                 log.warning("%s: %s", path, remark)
         mean = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
         if not mean > 0.0:
@@ -161,7 +161,7 @@ def finest_share(brightness: Float32Array) -> Float32Array:
         logs = np.log(brightness)
     logs[~np.isfinite(logs)] = np.nan
     square: Float32Array = np.square(logs - cv2.blur(logs, (2, 2))).astype(np.float32)
-    shares: Float32Array = np.sqrt(low_pass(square, AROUND_PIXELS))
+    shares: Float32Array = np.sqrt(filter_low_pass(square, AROUND_PIXELS))
     return shares
 
 
@@ -169,7 +169,7 @@ def _placed(path: Path, body: Body, dataset: Any) -> Any:
     remedy = "state its edges: extent_deg = [west, south, east, north] in albedo_map of [truth]"
     if dataset.crs is None or dataset.transform.is_identity:
         raise DataError(f"{path}: says neither its coordinate system nor its edges; {remedy}")
-    return place_of(path, None, None, body, dataset, remedy)
+    return read_georeference(path, None, None, body, dataset, remedy)
 
 
 def _extent(path: Path, edges: tuple[float, float, float, float]) -> tuple[float, ...]:
@@ -202,8 +202,8 @@ def _brightness(path: Path, dataset: Any, coding: str) -> Float32Array:
             values = np.clip(values / np.float32(full), 0.0, 1.0)
             curve = ((values + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
             values = np.where(values <= 0.04045, values / np.float32(12.92), curve)
-        low, high = nodata_range(label.nodata, str(raw.dtype))
-        valid = Validity.of(dataset, band, label.special).valid(dataset, raw, band)
+        low, high = find_nodata_range(label.nodata, str(raw.dtype))
+        valid = Validity.read(dataset, band, label.special).valid(dataset, raw, band)
         stored = raw.astype(np.float64)  # the bounds may lie beyond a float32
         values[~valid | ((stored >= low) & (stored <= high))] = np.nan
         total += values / np.float32(len(bands))
@@ -217,7 +217,7 @@ def _add_octaves(
     for part in numba.prange(PARTS):
         first, last = part * out.size // PARTS, (part + 1) * out.size // PARTS
         for octave in range(octaves.spacing.size):
-            state = fractal.octave_state(octaves.seed, octave)
+            state = fractal.make_octave_state(octaves.seed, octave)
             scale = octaves.radius / octaves.spacing[octave]
             length = fractal.WAVELENGTH * octaves.spacing[octave]
             for i in range(first, last):
@@ -225,5 +225,5 @@ def _add_octaves(
                 if share <= 0.0:
                     continue
                 x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-                value = fractal.noise(state, x * scale, y * scale, z * scale)
+                value = fractal.evaluate_noise(state, x * scale, y * scale, z * scale)
                 out[i] += octaves.amplitude[octave] * min(share, 1.0) * value

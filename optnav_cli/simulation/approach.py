@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
-from catalog.bodies.epochs import tdb_s_after, utc_to_tdb_s
+from catalog.bodies.epochs import compute_tdb_s_after, utc_to_tdb_s
 from catalog.config import Turn
 from catalog.errors import ConfigError
 from catalog.terrain.mesh.shape import Shape, load_shape
@@ -117,7 +117,7 @@ def approach_states(scenario: Approach, motion: Ephemeris) -> States:
             f"{longest / 3600.0:.0f} hours, not from {settings.from_km:g} km; raise speed_m_s or "
             "change the arrival"
         )
-    times = tdb_s_after(settings.arrival_utc, -ages)
+    times = compute_tdb_s_after(settings.arrival_utc, -ages)
     flown = path.sol(times)
     return times, (flown[:6] - flown[6:]).T
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.bodies.epochs import tdb_s_after, utc_from_tdb_s
+from catalog.bodies.epochs import compute_tdb_s_after, utc_from_tdb_s
 from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.camera.coding import Coding
 from optnav_cli.frames.run_settings import RUN_TOML
@@ -61,7 +61,7 @@ class CylinderSimulation(Simulation):
         write_camera(folder / "cameras", replace(camera, coding=Coding("linear")))
         times = [
             utc_from_tdb_s(float(time), 3)
-            for time in tdb_s_after(one.start_utc, self._states[:, 0])
+            for time in compute_tdb_s_after(one.start_utc, self._states[:, 0])
         ]
         heads = [{"file": name, "utc": utc} for name, utc in zip(self.names, times, strict=True)]
         TIMES_AND_CAMERAS.write(

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
-from catalog.bodies.epochs import tdb_s_after
+from catalog.bodies.epochs import compute_tdb_s_after
 from catalog.config import Seconds, Turn
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import body_from_local
@@ -131,7 +131,7 @@ class Descent(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             height = base + 1e3 * _height_km(settings, time)
             if number % step == 0 or time == times[-1]:
                 _check_height(source, up, height)
-            tdb_s = float(tdb_s_after(settings.start_utc, time)[0])
+            tdb_s = float(compute_tdb_s_after(settings.start_utc, time)[0])
             found.append(Epoch(number, 0, tdb_s, (radius + height) * up, forward, sun, True, seed))
         return found
 

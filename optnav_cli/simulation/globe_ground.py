@@ -18,7 +18,7 @@ from catalog.bodies.body import Body
 from catalog.cache import Cache
 from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import Lattice, xyz_from_latlon
-from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
+from catalog.rendering.rays.ground import Ground, make_ground, make_whole_sphere
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.synthetic.model_error import SlopeMap
@@ -137,7 +137,7 @@ class GlobeTerrain:
         north, west = 0.5 * np.pi - 0.5 * step, 0.5 * step
         grid = Lattice(north, west, step, COARSE_ROWS, 2 * COARSE_ROWS)
         heights = self._sample(grid_from_body, grid, step * self._heights.radius_m)
-        return whole_sphere(heights, self._heights.radius_m, np.pi)
+        return make_whole_sphere(heights, self._heights.radius_m, np.pi)
 
     def _ground(self, grid_from_body: FloatArray, grid: Lattice, posting_m: float) -> Float32Array:
         heights = self._sample(grid_from_body, grid, posting_m)
@@ -190,7 +190,7 @@ class GlobeGround:
         model_heights = read_globe(model, body)
         heights = GlobeHeights(model_heights, body.radius_m)
         spectrum = truth.spectrum()
-        slopes = None if spectrum is None else SlopeMap.of_globe(model_heights, body.radius_m)
+        slopes = None if spectrum is None else SlopeMap.measure_globe(model_heights, body.radius_m)
         grounds: dict[int | None, GlobeTerrain] = {}
         for seed in detail.seeds or (None,):
             parts: list[Relief] = []

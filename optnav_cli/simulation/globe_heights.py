@@ -21,7 +21,7 @@ from catalog.cache import Cache
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.geometry.latlon import Lattice
-from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
+from catalog.rendering.rays.ground import Ground, make_ground, make_whole_sphere
 from catalog.terrain.dem.source import DemSettings, DemSource
 
 SPLINE_MARGIN = 16  # nodes beyond which a border no longer matters: 0.27^16 is below 1e-9
@@ -234,7 +234,7 @@ class WideGround:
 
     @cached_property
     def _bare(self) -> Ground:
-        return whole_sphere(self._heights, self._radius_m, self._seam)
+        return make_whole_sphere(self._heights, self._radius_m, self._seam)
 
     def _roughened(self, detail: Relief) -> Ground:
         fine = self._fine
@@ -258,7 +258,7 @@ class WideGround:
 
     @cached_property
     def _fine(self) -> Ground:
-        """The smooth globe at a finer posting, laid out as `whole_sphere` does."""
+        """The smooth globe at a finer posting, laid out as `make_whole_sphere` does."""
         rows = FINER * self._heights.shape[0]
         step = np.pi / rows
         shift = np.floor(np.mod(self._seam, ALL_ROUND) / step)

@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
-from catalog.bodies.epochs import tdb_s_after, utc_to_tdb_s
+from catalog.bodies.epochs import compute_tdb_s_after, utc_to_tdb_s
 from catalog.config import Count, Seconds, Turn
 from catalog.errors import ConfigError
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
@@ -148,7 +148,7 @@ def flight_states(flight: FlightSettings, motion: Ephemeris, seed: int) -> State
     low, high = (body.radius_m + 1e3 * h for h in (flight.lowest_km, flight.highest_km))
     speed = float(np.sqrt(2.0 * body.gm_m3_s2 * high / (low * (low + high))))
     start = utc_to_tdb_s(flight.start_utc)
-    times = tdb_s_after(flight.start_utc, flight.spacing_s * np.arange(flight.frames))
+    times = compute_tdb_s_after(flight.start_utc, flight.spacing_s * np.arange(flight.frames))
     frame = path_frame(motion, start, flight.inclination_deg, flight.node_deg, flight.lowest_at_deg)
     anomaly = np.radians(flight.start_at_deg - flight.lowest_at_deg)
     place, velocity = _on_conic(body.gm_m3_s2, low, speed, anomaly)
@@ -188,7 +188,7 @@ def transfer_states(transfer: TransferSettings, motion: Ephemeris) -> States:
             f"within {longest / 86400.0:.0f} days, not from {transfer.from_km:.0f} km; "
             "raise excess_speed_km_s or change the arrival"
         )
-    times = tdb_s_after(transfer.arrival_utc, -ages)
+    times = compute_tdb_s_after(transfer.arrival_utc, -ages)
     return times, orbit.propagate(state, arrival, times)[0]
 
 

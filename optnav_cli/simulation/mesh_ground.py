@@ -12,7 +12,7 @@ from catalog.errors import ConfigError
 from catalog.rendering.mesh_scene import MeshScene
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.rays import MeshRays
-from catalog.terrain.mesh.refine import FINEST_FACES, refined, roughened
+from catalog.terrain.mesh.refine import FINEST_FACES, add_detail, refine_shape
 from catalog.terrain.mesh.shape import load_shape
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays
@@ -42,7 +42,7 @@ class MeshGround:
                 f"up to {FINEST_FACES} are possible: raise it"
             )
         self._model_posting_m = model.posting_m
-        self._shape = refined(model, halvings)
+        self._shape = refine_shape(model, halvings)
         self.posting_m = self._shape.posting_m
         self._meshes: Cache[int | None, MeshRays] = Cache(1)
         self._corners = lru_cache(maxsize=CAMERAS)(corner_rays)
@@ -54,7 +54,7 @@ class MeshGround:
     def _made(self, seed: int | None) -> MeshRays:
         shape, posting = self._shape, self._model_posting_m
         if seed is not None:
-            shape = roughened(shape, relief_below(self._detail, seed, posting, self._radius_m))
+            shape = add_detail(shape, relief_below(self._detail, seed, posting, self._radius_m))
         return MeshRays(shape.vertices[shape.faces])
 
     def radiance(self, camera: Camera, exposure: Exposure) -> Float32Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
-from catalog.bodies.epochs import tdb_s_after
+from catalog.bodies.epochs import compute_tdb_s_after
 from catalog.config import Count, Seconds, Turn
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
@@ -102,7 +102,7 @@ class Scenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tr
                 c, s = np.cos(rate * after), np.sin(rate * after)
                 place, forward = radius * (c * up + s * ahead), c * ahead - s * up
                 later = number * orbit.pass_interval_s + step * orbit.spacing_s
-                tdb_s = float(tdb_s_after(orbit.start_utc, later)[0])
+                tdb_s = float(compute_tdb_s_after(orbit.start_utc, later)[0])
                 found.append(Epoch(len(found), number, tdb_s, place, forward, sun, True, ground))
         return found
 
@@ -184,7 +184,7 @@ class Portraits(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=
                 f"[portraits] distance_km comes down to {min(settings.distance_km):g} km from the "
                 f"centre of {body.name}, whose ground may reach {lowest / 1e3:g} km; wanted more"
             )
-        times = tdb_s_after(
+        times = compute_tdb_s_after(
             settings.start_utc, np.arange(settings.frames) * settings.interval_s
         ).tolist()
         distances = 1e3 * np.geomspace(*settings.distance_km, settings.frames)

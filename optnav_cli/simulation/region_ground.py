@@ -27,7 +27,7 @@ from catalog.terrain.synthetic.model_error import (
     SLOPE_BASE_M,
     ModelError,
     SlopeMap,
-    rms_slope,
+    map_rms_slope,
 )
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
@@ -99,7 +99,7 @@ class TruthTerrain:
             slopes, posting = self._slopes(), self.posting_m
             self._errors = {s: error_above(error, s, posting, slopes, body) for s in details}
             if around:
-                slopes = SlopeMap.of_globe(heights, body.radius_m)
+                slopes = SlopeMap.measure_globe(heights, body.radius_m)
                 posting = np.pi * body.radius_m / len(heights)
             for seed, relief in list(around.items()):
                 own = error_above(error, seed, posting, slopes, body)
@@ -206,7 +206,9 @@ class TruthTerrain:
             for top in range(0, lat.size, SLOPE_ROWS)
         ]
         radius = self.body.radius_m
-        slopes = rms_slope(np.concatenate(parts), step * radius, step_lon * radius * np.cos(lat))
+        slopes = map_rms_slope(
+            np.concatenate(parts), step * radius, step_lon * radius * np.cos(lat)
+        )
         return SlopeMap(slopes, float(lat[0]), float(lon[0]), step, step_lon)
 
     def _with_border(self, box: Box, wraps: bool) -> Box:

@@ -16,7 +16,7 @@ from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.geometry.rotations import ARCSEC
 from catalog.rasters import TERRAIN, open_raster, reading_raster
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.dem.source import DemSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import write_folder
@@ -64,9 +64,9 @@ class Simulation:
             return name
 
         self.scenario.with_files(FileNames(raster, noted, noted, noted, noted))
-        found = {path for name in names if (path := path_of(name, Path())).is_file()}
+        found = {path for name in names if (path := resolve_path(name, Path())).is_file()}
         for name in rasters:
-            path = path_of(name, Path())
+            path = resolve_path(name, Path())
             with open_raster(path, TERRAIN) as dataset, reading_raster(path):
                 found.update(map(Path, dataset.files))  # of a label its image, the parts of a VRT
         return sorted(found)

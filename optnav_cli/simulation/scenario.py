@@ -8,11 +8,11 @@ from pathlib import Path
 import msgspec
 
 from catalog.bodies.body import Body
-from catalog.bodies.ephemeris import Ephemeris, motion_of
+from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import BUNDLED, load_toml, resource, toml_text
 from catalog.errors import ConfigError, DataError
-from catalog.terrain.dem.file import SHARED, path_of
+from catalog.terrain.dem.file import SHARED, resolve_path
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.simulation.approach import Approach
@@ -96,7 +96,7 @@ def scenario_cameras(scenario: ScenarioBase) -> list[Camera]:
 
 def scenario_motion(scenario: ScenarioBase, body: Body) -> Ephemeris:
     """How the scenario's body turns. Raises ConfigError or DataError for a kernel."""
-    return motion_of(body, [path_of(name, Path.cwd()) for name in scenario.spice.kernels])
+    return load_ephemeris(body, [resolve_path(name, Path.cwd()) for name in scenario.spice.kernels])
 
 
 def _kind(path: Path) -> type[ScenarioBase]:

@@ -12,7 +12,7 @@ from catalog.bodies.body import Body
 from catalog.config import NotNegative, Slope, Turn
 from catalog.errors import ConfigError
 from catalog.photometry.hapke import LUNAR, HapkeParameters
-from catalog.terrain.error_model import ErrorSpectrum, terrain_laws
+from catalog.terrain.error_model import ErrorSpectrum, load_terrain_laws
 from catalog.terrain.synthetic.model_error import ModelError, SlopeMap
 from catalog.terrain.synthetic.relief import SyntheticRelief
 
@@ -203,7 +203,7 @@ class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         """The error of the terrain model, None for none."""
         if isinstance(self.model_error, ErrorTable):
             return self.model_error.spectrum()
-        return terrain_laws().spectrum.get(self.model_error)
+        return load_terrain_laws().spectrum.get(self.model_error)
 
     @property
     def surface(self) -> HapkeParameters:

@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import Ephemeris
-from catalog.bodies.epochs import tdb_s_after
+from catalog.bodies.epochs import compute_tdb_s_after
 from catalog.cache import Cache
 from catalog.config import Count, Seconds, Turn
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
-from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
+from catalog.rendering.rays.ground import Ground, make_ground, make_whole_sphere
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
@@ -140,7 +140,7 @@ class StereoScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_o
             for step in range(settings.pairs):
                 after = step * settings.spacing_s
                 later = number * settings.pass_interval_s + after
-                tdb_s = float(tdb_s_after(settings.start_utc, later)[0])
+                tdb_s = float(compute_tdb_s_after(settings.start_utc, later)[0])
                 place = start + velocity * after
                 found.append(Epoch(len(found), number, tdb_s, place, ahead, sun, True, seed))
         return found
@@ -208,7 +208,7 @@ class StereoTerrain:
         fine = relief.window(north, west, step, step * stretch, rows, cols)
         ground: Ground = make_ground(fine, north, west, step, step * stretch, radius)
         flat = np.zeros((COARSE_ROWS, 2 * COARSE_ROWS), np.float32)
-        wide = whole_sphere(flat, radius, float(lon.mean()) + np.pi)
+        wide = make_whole_sphere(flat, radius, float(lon.mean()) + np.pi)
         return Scene(ground, wide, exposure.sun_body, ground, self._scenario.world.surface)
 
     def _over_ground(self, place_m: FloatArray, relief: SyntheticRelief) -> float:

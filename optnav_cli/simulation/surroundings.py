@@ -6,8 +6,8 @@ from scipy.special import ndtr
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import Ephemeris, velocity_inertial
-from catalog.bodies.stars import aberrated, bright_stars
+from catalog.bodies.ephemeris import Ephemeris, compute_velocity_inertial
+from catalog.bodies.stars import apply_aberration, load_bright_stars
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.exposure import Exposure
 from optnav_cli.simulation.scenario_base import ScenarioBase
@@ -83,10 +83,12 @@ def star_light(
     Proper motion and the aberration by the body's motion about the Sun are in; that of the craft
     about the body, 1 arc second at the Moon, is not.
     """
-    stars, sensor = bright_stars(), scenario.sensor
+    stars, sensor = load_bright_stars(), scenario.sensor
     to_magnitude = scenario.sky.stars_to_magnitude
     out = np.zeros(camera.shape, np.float32)
-    seen = aberrated(stars.at(exposure.tdb_s), velocity_inertial(motion.body, exposure.tdb_s))
+    seen = apply_aberration(
+        stars.propagate(exposure.tdb_s), compute_velocity_inertial(motion.body, exposure.tdb_s)
+    )
     directions = seen @ motion.body_from_inertial(exposure.tdb_s).T
     chosen = stars.magnitudes <= to_magnitude + 2.0
     chosen &= ~_behind(exposure.position_m, directions, motion.body.radius_m)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import bdtrc
 
 from catalog.arrays import FloatArray, IntArray
-from catalog.bodies.stars import BrightStars, bright_stars
+from catalog.bodies.stars import BrightStars, load_bright_stars
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import cross_matrix
 from optnav_cli.camera.camera import Camera
@@ -98,7 +98,7 @@ class _Pairs:
 @lru_cache(maxsize=4)
 def _list_pairs(catalog: BrightStars, count: int, widest: float) -> _Pairs:
     """List pairs of the brightest stars: a century of proper motion changes no angle by a pixel."""
-    directions = catalog.at(None)[:count]
+    directions = catalog.propagate(None)[:count]
     reach = 2.0 * np.sin(widest / 2.0)
     ends = cKDTree(directions).query_pairs(reach, output_type="ndarray")
     chords = np.linalg.norm(directions[ends[:, 0]] - directions[ends[:, 1]], axis=1)
@@ -117,7 +117,7 @@ class StarIdentifier:
 
     camera: Camera
     directions: FloatArray
-    catalog: BrightStars = field(default_factory=bright_stars)
+    catalog: BrightStars = field(default_factory=load_bright_stars)
 
     def identify(self, spots: StarSpots) -> StarFix:
         """Find the attitude under which the spots are stars.

@@ -10,7 +10,7 @@ import numpy as np
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.star_catalog import read_star_catalog
-from catalog.bodies.stars import BrightStars, bright_stars
+from catalog.bodies.stars import BrightStars, load_bright_stars
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.files import hash_file, replacing_folder
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation
@@ -109,7 +109,7 @@ def solve_star_folder(
     check_apart(output, [folder])
     with logged_stage(STAGE):
         body = _read_body(folder)
-        stars = bright_stars() if catalogue is None else read_star_catalog(catalogue, epoch)
+        stars = load_bright_stars() if catalogue is None else read_star_catalog(catalogue, epoch)
         cameras, table = read_cameras(folder / CAMERAS), STAR_FRAMES.rows(folder / FRAMES)
         _check_files(folder / FRAMES, table)
         rows: list[StarRow] = []

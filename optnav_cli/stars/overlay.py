@@ -3,7 +3,7 @@
 import numpy as np
 
 from catalog.arrays import ByteArray, Float32Array
-from catalog.bodies.stars import BrightStars, bright_stars
+from catalog.bodies.stars import BrightStars, load_bright_stars
 from optnav_cli.output.canvas import (
     Canvas,
     compute_shrink_factor,
@@ -35,7 +35,7 @@ def draw_stars(
         if number not in matched:
             canvas.ring(pixel, 7.0, SPOT, 1)
     if fix is not None and spots is not None:
-        stars = bright_stars() if catalog is None else catalog
+        stars = load_bright_stars() if catalog is None else catalog
         for row, (spot, star) in enumerate(zip(fix.spots, fix.stars, strict=True)):
             colour = FOUND if fix.used[row] else LEFT_OUT
             pixel = spots.pixels[spot]

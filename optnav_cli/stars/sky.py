@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
-from catalog.bodies.ephemeris import velocity_inertial
-from catalog.bodies.stars import LIGHT_M_S, BrightStars, aberrated, bright_stars
+from catalog.bodies.ephemeris import compute_velocity_inertial
+from catalog.bodies.stars import LIGHT_M_S, BrightStars, apply_aberration, load_bright_stars
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.stars.identify import StarIdentifier
@@ -28,14 +28,14 @@ class SkyView:
     body: Body
     tdb_s: float | None
     distance_m: float | None = None
-    catalog: BrightStars = field(default_factory=bright_stars)
+    catalog: BrightStars = field(default_factory=load_bright_stars)
 
     def compute_directions(self) -> FloatArray:
         """Compute where the catalog's stars are seen, inertial axes: (n, 3)."""
-        stars = self.catalog.at(self.tdb_s)
+        stars = self.catalog.propagate(self.tdb_s)
         if self.tdb_s is None:
             return stars
-        return aberrated(stars, velocity_inertial(self.body, self.tdb_s))
+        return apply_aberration(stars, compute_velocity_inertial(self.body, self.tdb_s))
 
     @property
     def sigma_rad(self) -> float:

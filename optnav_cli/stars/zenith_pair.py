@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
-from catalog.bodies.stars import bright_stars
+from catalog.bodies.stars import load_bright_stars
 from catalog.geometry.vectors import unit
 
 FAINTEST, POLARIS = 1.25, "Polaris"
@@ -21,8 +21,8 @@ VERTICAL_DEG = 5.0  # a star in the zenith says little: the distance has no sign
 
 @cache
 def list_navigation_stars() -> IntArray:
-    """List the numbers of the 21 stars in `bright_stars`."""
-    stars = bright_stars()
+    """List the numbers of the 21 stars in `load_bright_stars`."""
+    stars = load_bright_stars()
     bright = stars.magnitudes <= FAINTEST
     return np.flatnonzero(bright | (np.array(stars.names) == POLARIS)).astype(np.int64)
 

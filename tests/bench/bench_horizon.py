@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from catalog.terrain.relief.sums import load_relief
-from catalog.terrain.skyline.limb import nadir_axes
+from catalog.terrain.skyline.limb import make_nadir_axes
 from optnav_cli.frames.picture import Picture
 from optnav_cli.outline.limb.model import fit_limb
 from optnav_cli.outline.method import navigate
@@ -24,7 +24,7 @@ GIANT_FRAME_MS = 800.0  # of a sphere, in a picture of 1024 x 1024
 def test_the_fit_of_1000_limb_points(radii):
     # a circular cone in the frame where the body is the unit sphere
     position = 1.5 * np.array([0.4, -0.5, 0.9])
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
     azimuths = np.linspace(-2.5, 2.5, 1000)
     across = np.cos(azimuths)[:, None] * axes[0] + np.sin(azimuths)[:, None] * axes[1]
     sine = 1.0 / np.linalg.norm(position)
@@ -74,7 +74,7 @@ def _drawn(relief, position, turned):
     """Counts (2048, 2048) of a body bright up to its skyline, blurred by a pixel's share."""
     from optnav_cli.outline.limb.relief_skyline import make_relief_skyline
 
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
     table = np.linspace(-np.pi, np.pi, 4001)
     line = make_relief_skyline(relief, "moon").limb.skyline(position, axes, table)
     rays = turned.inv().apply(CAMERA.unproject(pixel_grid(CAMERA)).reshape(-1, 3)) @ axes.T

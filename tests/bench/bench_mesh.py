@@ -47,7 +47,7 @@ def corner_rays(position: NDArray[np.float64], half: float) -> NDArray[np.float6
 def test_a_picture_of_half_a_million_triangles(triangles) -> None:
     start = time.process_time()
     mesh = MeshRays(triangles)
-    mesh.first_hits(np.array([[1e5, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0]]))
+    mesh.find_first_hits(np.array([[1e5, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0]]))
     index = time.process_time() - start
     position = np.array([6e4, 3e4, 2e4])
     corners = corner_rays(position, 0.2)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from catalog.config import resource
 from catalog.rendering.map_view import render_map
-from catalog.rendering.shadow import lit_mask
-from catalog.terrain.skyline.local import skyline_limits_deg
+from catalog.rendering.shadow import make_lit_mask
+from catalog.terrain.skyline.local import compute_skyline_limits_deg
 from tests.bench import hillshade
 from tests.bench.timing import best, in_turn, result, sized, spread, within
 
@@ -53,7 +53,7 @@ def test_shading_with_shadows_against_gdal_hillshade(tile, tmp_path):
     calls = {
         "hillshade": lambda: hillshade.make(whole, tmp_path / "out.tif"),
         "its start": lambda: hillshade.make(small, tmp_path / "out.tif"),
-        "cast shadows alone": lambda: lit_mask(tile, POSTING_M, SUN, MOON_M),
+        "cast shadows alone": lambda: make_lit_mask(tile, POSTING_M, SUN, MOON_M),
     }
     for law in ("lommel_seeliger", "lunar_lambert", "hapke"):
         calls[law] = lambda law=law: render_map(tile, POSTING_M, SUN, radius_m=MOON_M, law=law)
@@ -94,7 +94,7 @@ def test_the_skyline_of_a_point(tile):
         levels.append((np.ascontiguousarray(grid[cut, cut]), posting))
         grid = cv2.resize(grid, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         posting *= 2
-    seconds = best(lambda: skyline_limits_deg(levels, 0, MOON_M), 20)
+    seconds = best(lambda: compute_skyline_limits_deg(levels, 0, MOON_M), 20)
     limit = f"limit {SKYLINE_MS:g} ms"
     result("skyline of a point, 36 azimuths", f"{seconds * 1e3:.2f} ms", limit)
     assert within(seconds * 1e3, SKYLINE_MS)

@@ -9,7 +9,7 @@ import rasterio
 
 from catalog.bodies.body import load_body
 from catalog.config import resource
-from catalog.correlation.surf64 import descriptors, match_surf
+from catalog.correlation.surf64 import compute_descriptors, match_surf
 from catalog.geometry.cells import CellGrid
 from catalog.pipeline import check, render, select
 from catalog.pipeline.config import BodySettings, BuildConfig
@@ -57,7 +57,7 @@ def test_descriptors_a_second(tile):
             # every node whose square of cells of 8 nodes fits
             at = np.arange(4 * cells, DESCRIBED - 4 * cells)
             rows, cols = np.meshgrid(at, at, indexing="ij")
-            seconds = best(lambda: descriptors(part, rows, cols, 8, cells), 5)  # noqa: B023
+            seconds = best(lambda: compute_descriptors(part, rows, cols, 8, cells), 5)  # noqa: B023
             rates[name] = (rows.size, seconds)
         match = best(lambda: match_surf(tile[20:84, 20:84], tile[8:96, 8:96]), 20)
     for name, (count, seconds) in rates.items():
@@ -72,7 +72,7 @@ def test_a_cell_through_render_and_check(tmp_path: Path):
     config = BuildConfig(body=BodySettings("moon"), dem=(dem,))
     mosaic = Mosaic.from_files([dem], tmp_path, load_body("moon"), tmp_path)
     context = StageContext(mosaic.body, mosaic, CellGrid(1.0), mosaic.posting_m, config)
-    cells = [int(cell) for cell in context.grid.in_bbox(*CELLS_DEG)]
+    cells = [int(cell) for cell in context.grid.find_cells_in_bbox(*CELLS_DEG)]
     with one_core():
         rendering = best(lambda: render.render_chunk(context, cells), 1)
         places = select.select(context, render.render_chunk(context, cells))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from catalog.bodies.stars import bright_stars
+from catalog.bodies.stars import load_bright_stars
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.cylinder.fit import fit_cylinder
@@ -77,7 +77,7 @@ def test_spots_and_identification_of_a_star_picture(side):
     camera = Camera("sky", "pinhole", size, size, 2.4 * size, (0.5 * size, 0.5 * size))
     turn = Rotation.from_euler("xyz", (-60.0, 10.0, 40.0), degrees=True)
     picture = drawn_sky(turn, camera)
-    identifier = StarIdentifier(camera, bright_stars().at(None))
+    identifier = StarIdentifier(camera, load_bright_stars().propagate(None))
     calls = {
         "blur": lambda: cv2.GaussianBlur(picture, (0, 0), 2.0),
         "ours": lambda: identifier.attempt(find_spots(picture, 65535.0)),
@@ -97,7 +97,7 @@ def test_spots_and_identification_of_a_star_picture(side):
 def test_identification_alone(name, faintest):
     """Median over random pointings with four false spots."""
     camera, rng = preset_camera(name), np.random.default_rng(3)
-    identifier = StarIdentifier(camera, bright_stars().at(None))
+    identifier = StarIdentifier(camera, load_bright_stars().propagate(None))
     turns = [Rotation.random(random_state=rng) for _ in range(sized(40, 2))]
     spots = [spots_of(turn, camera, rng, faintest, 4) for turn in turns]
     times = []

@@ -21,7 +21,7 @@ from rasterio.transform import Affine
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_from_tdb_s
-from catalog.bodies.stars import bright_stars
+from catalog.bodies.stars import load_bright_stars
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.fix import Fix, Method, Solution
@@ -291,7 +291,7 @@ def _write_flown(folder: Path) -> None:
 
 def _write_zenith(path: Path) -> None:
     """Zenith distances of three stars along a circular orbit."""
-    stars, angles = bright_stars().at(7e8)[[4, 46, 6]], np.linspace(0.0, 6.0, 60)
+    stars, angles = load_bright_stars().propagate(7e8)[[4, 46, 6]], np.linspace(0.0, 6.0, 60)
     places = 2.7e6 * np.stack([np.cos(angles), 0.6 * np.sin(angles), 0.8 * np.sin(angles)], axis=1)
     directions = stars[np.arange(60) % 3]
     values = zenith_distances(places, directions)[0]

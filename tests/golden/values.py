@@ -8,7 +8,7 @@ import rasterio
 from catalog.arrays import Float32Array
 from catalog.bodies.body import load_body
 from catalog.config import resource
-from catalog.correlation.surf64 import descriptors
+from catalog.correlation.surf64 import compute_descriptors
 from catalog.rendering.map_view import render_map
 
 PLACE = Path(__file__).with_name("values.npz")
@@ -37,7 +37,7 @@ def golden_values() -> dict[str, Float32Array]:
         for name, sun in SUNS.items()
     }
     rows, cols = (grid.ravel() for grid in np.meshgrid(CORNERS, CORNERS, indexing="ij"))
-    values["surf"] = descriptors(values["hapke_high"], rows, cols, CELL_PX)
+    values["surf"] = compute_descriptors(values["hapke_high"], rows, cols, CELL_PX)
     return values
 
 

@@ -12,7 +12,7 @@ from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
-from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.projection import Stereographic, make_node_grid
 from catalog.rendering.map_view import render_map
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.field import ControlPointField, PointLayer
@@ -96,7 +96,7 @@ class RoughWorld:
         grid = CellGrid(self.cell_deg)
         reach = 0.8
         lat, lon = np.degrees(LAT), np.degrees(LON)
-        cells = grid.in_bbox(
+        cells = grid.find_cells_in_bbox(
             lon - reach / np.cos(LAT), lat - reach, lon + reach / np.cos(LAT), lat + reach
         )
         return [self.control_point(int(cell), *grid.centre_deg(int(cell))) for cell in cells]
@@ -105,7 +105,7 @@ class RoughWorld:
         projection = Stereographic(np.radians(lat_deg), np.radians(lon_deg), RADIUS_M)
         patches = []
         for level, posting in enumerate(self.postings()):
-            x, y = node_grid(self.nodes, posting)
+            x, y = make_node_grid(self.nodes, posting)
             patches.append(Patch(float(posting), self.heights_at(projection, x, y, level)))
         height = float(self.heights_at(projection, np.zeros(1), np.zeros(1), 0)[0])
         point = ControlPoint(

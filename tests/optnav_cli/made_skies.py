@@ -5,9 +5,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import velocity_inertial
+from catalog.bodies.ephemeris import compute_velocity_inertial
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.stars import aberrated, bright_stars
+from catalog.bodies.stars import apply_aberration, load_bright_stars
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.stars.spots import StarSpots
@@ -26,7 +26,9 @@ def turned(ra_deg: float, dec_deg: float, roll_deg: float) -> Rotation:
 def sky_directions(utc: str = UTC) -> np.ndarray:
     """The stars as seen from the Earth's motion."""
     time = utc_to_tdb_s(utc)
-    return aberrated(bright_stars().at(time), velocity_inertial(load_body("earth"), time))
+    return apply_aberration(
+        load_bright_stars().propagate(time), compute_velocity_inertial(load_body("earth"), time)
+    )
 
 
 def drawn_sky(
@@ -35,8 +37,8 @@ def drawn_sky(
     """Counts (h, w) of the stars that a camera sees, with noise; stars of V 6 just stand out."""
     rng = np.random.default_rng(seed)
     pixels = camera.project(turn.apply(sky_directions()))
-    light = 400.0 * 10.0 ** (-0.4 * (bright_stars().magnitudes - 5.5))
-    inside = np.isfinite(pixels).all(axis=1) & (bright_stars().magnitudes < faintest)
+    light = 400.0 * 10.0 ** (-0.4 * (load_bright_stars().magnitudes - 5.5))
+    inside = np.isfinite(pixels).all(axis=1) & (load_bright_stars().magnitudes < faintest)
     inside[inside] &= camera.contains(pixels[inside], -5.0)
     picture = rng.normal(SKY, NOISE, camera.shape)
     rows, cols = np.mgrid[: camera.height_px, : camera.width_px]
@@ -62,8 +64,8 @@ def add_body(picture: np.ndarray, centre=(150, 330), radius=90, glare=150.0) -> 
 
 def spots_of(turn: Rotation, camera: Camera, rng, faintest: float, false: int) -> StarSpots:
     """Spots as a detector gives them: 0.15 px of noise, false ones among them."""
-    stars = bright_stars()
-    pixels = camera.project(turn.apply(stars.at(None)))
+    stars = load_bright_stars()
+    pixels = camera.project(turn.apply(stars.propagate(None)))
     seen = np.flatnonzero(np.isfinite(pixels).all(axis=1) & (stars.magnitudes < faintest))
     seen = seen[camera.contains(pixels[seen])][:56]
     size = np.array([camera.width_px - 1, camera.height_px - 1])

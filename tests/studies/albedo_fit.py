@@ -19,12 +19,12 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.config import resource, toml_text
-from catalog.correlation.ncc import high_pass
+from catalog.correlation.ncc import filter_high_pass
 from catalog.correlation.relief_albedo import (
     FILE,
     ReliefAlbedo,
-    shipped_strengths,
-    steepness_and_crests,
+    compute_steepness_and_crests,
+    load_shipped_strengths,
 )
 from catalog.errors import NothingToDoError
 from catalog.files import check_file, starts_with, write_output
@@ -117,7 +117,7 @@ def run(progress: Progress, rows: str, output: Path | None) -> AlbedoFitResult:
             bar.advance()
     source.close()
     fit = [found[name] for name in chosen]
-    old = shipped_strengths()
+    old = load_shipped_strengths()
     new = fitted(fit)
     if output is not None:
         text = likelihood.with_numbers(toml_text(resource(FILE)), numbers(old), new)
@@ -147,8 +147,10 @@ def squares(
     postings_m  from row to row and from column to column
     """
     down, east = (np.asarray(g) for g in np.gradient(heights, *postings_m))
-    patterns = (*steepness_and_crests(heights, postings_m), east, -down)
-    *relief, logs = (high_pass(g.astype(np.float32)) for g in (*patterns, np.log(brightness)))
+    patterns = (*compute_steepness_and_crests(heights, postings_m), east, -down)
+    *relief, logs = (
+        filter_high_pass(g.astype(np.float32)) for g in (*patterns, np.log(brightness))
+    )
     found, explained = [], []
     rises, shaded = [], []
     rows, cols = heights.shape

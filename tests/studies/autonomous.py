@@ -21,7 +21,7 @@ from catalog.errors import NothingToDoError
 from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from optnav_cli.camera.camera import Camera
 from optnav_cli.evaluation.figures import FrameError, figures_of
 from optnav_cli.frames.folder import read_folder
@@ -101,7 +101,7 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
     rows    only rows and scenarios whose name contains this
     Raises ConfigError where the shared data are not named.
     """
-    relief = path_of(flights.GLOBE, Path.cwd())
+    relief = resolve_path(flights.GLOBE, Path.cwd())
     make_folder(output)
     tycho = output / "tycho.gpkg"
     build.run(resource("configs/catalogs/tycho.toml"), output=tycho, progress=progress)

@@ -33,7 +33,7 @@ from catalog.progress import Progress
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.shape import load_shape
-from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
+from catalog.terrain.mesh.terrain import MeshTerrain, make_mesh_relief
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
@@ -172,7 +172,7 @@ def _relief(model: MeshSettings, body: Body) -> GlobalRelief:
     with tempfile.TemporaryDirectory() as folder:
         corners = Path(folder) / "corners.npy"
         np.save(corners, shape.vertices[shape.faces])
-        return relief_of_mesh(MeshTerrain(body, corners, "shape model", shape.posting_m))
+        return make_mesh_relief(MeshTerrain(body, corners, "shape model", shape.posting_m))
 
 
 def _part(camera: Camera, side: int, rng: np.random.Generator) -> Camera:

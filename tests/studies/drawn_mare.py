@@ -18,9 +18,9 @@ from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.pipeline.ingest import Bbox
 from catalog.rasters import TERRAIN, open_raster, reading_raster
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.dem.source import DemSettings, DemSource
-from catalog.terrain.synthetic.model_error import rms_slope
+from catalog.terrain.synthetic.model_error import map_rms_slope
 from optnav_cli.simulation.globe_heights import sample_spline, spline_coefficients
 from tests.studies import flights
 
@@ -35,7 +35,7 @@ EDGES = (0.0, 0.03, 0.06, 0.1, 0.15, 0.25)  # of slopes, tangents
 def write_drawn_mare(folder: Path) -> Path:
     """The model, in a folder. Raises ConfigError without the shared model of 948 m."""
     west, south, east, north = BOX
-    path = path_of(flights.GLOBE, Path.cwd())
+    path = resolve_path(flights.GLOBE, Path.cwd())
     source = DemSource.open(DemSettings(path=flights.GLOBE), Path.cwd(), load_body("moon"))
     with closing(source):
         cols, rows = source.pixel_from_latlon(np.radians([north, south]), np.radians([west, east]))
@@ -66,7 +66,7 @@ def drawn_finer(heights: Float32Array, posting_m: float, relief: FloatArray) -> 
     rng = np.random.default_rng(SEED)
     noise = rng.standard_normal(smooth.shape).astype(np.float32)
     noise = beyond_means(np.asarray(cv2.GaussianBlur(noise, (0, 0), ROUND_NODES), np.float32))
-    slopes = rms_slope(smooth, posting_m, posting_m)
+    slopes = map_rms_slope(smooth, posting_m, posting_m)
     size = np.interp(slopes, *relief).astype(np.float32)
     return np.asarray(smooth + size * noise / noise.std(), np.float32)
 
@@ -74,7 +74,7 @@ def drawn_finer(heights: Float32Array, posting_m: float, relief: FloatArray) -> 
 def fine_relief(heights: Float32Array, posting_m: float) -> FloatArray:
     """Slopes (tangents), and the rms height (m) that means over 2 x 2 nodes lose there, (2, k)."""
     lost = beyond_means(heights)
-    slopes = rms_slope(heights - lost, posting_m, posting_m)
+    slopes = map_rms_slope(heights - lost, posting_m, posting_m)
     found = []
     for low, high in pairwise(EDGES):
         some = (slopes >= low) & (slopes < high)

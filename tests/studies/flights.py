@@ -22,7 +22,7 @@ from catalog.geometry.rotations import ARCSEC
 from catalog.pipeline import build
 from catalog.pipeline.ingest import Bbox
 from catalog.progress import Progress
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.error_model import StatedError
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.evaluation.files import evaluate_run
@@ -98,7 +98,7 @@ def check_shared_files(scenarios: Iterable[str]) -> None:
     for name in scenarios:
         albedo_map = shipped_scenario(name).world.albedo_map
         if albedo_map:
-            path_of(albedo_map.path, Path.cwd())
+            resolve_path(albedo_map.path, Path.cwd())
 
 
 def written_model(path: Path, heights: Float32Array, crs: object, transform: object) -> Path:

@@ -19,7 +19,12 @@ from scipy.special import ndtr
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.progress import Progress
-from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, slope_components, slope_degrees
+from catalog.terrain.slopes import (
+    CRITICAL_DEG,
+    DANGEROUS_DEG,
+    compute_slope_components,
+    convert_to_degrees,
+)
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.hazard.fusion import combine_slopes
 from optnav_cli.hazard.ground_view import PictureOnGround, look_down, resize_grid
@@ -237,7 +242,9 @@ def prior_slopes(ground: GroundField, view: PictureOnGround) -> Float32Array:
     size = len(ground.heights) // many
     coarse = resize_grid(ground.heights, (size, size))
     padded = np.pad(coarse, 1, mode="reflect", reflect_type="odd")
-    degrees = slope_degrees(slope_components(padded, PRIOR_M, PRIOR_M, PRIOR_M))[1:-1, 1:-1]
+    degrees = convert_to_degrees(compute_slope_components(padded, PRIOR_M, PRIOR_M, PRIOR_M))[
+        1:-1, 1:-1
+    ]
     rng = np.random.default_rng([ground.seed, 31])
     degrees = np.abs(degrees + PRIOR_ERROR_DEG * rng.standard_normal(degrees.shape))
     rows, cols = view.brightness.shape

@@ -20,8 +20,8 @@ from catalog.terrain.slopes import (
     BASE_M,
     CRITICAL_DEG,
     DANGEROUS_DEG,
-    slope_components,
-    slope_degrees,
+    compute_slope_components,
+    convert_to_degrees,
 )
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
@@ -85,10 +85,10 @@ def make_field(kind: str, seed: int, nodes: int = NODES, posting_m: float = DRAW
         HURST,
         rough.saturation,
     )
-    heights = relief.local(SITE, posting_m, nodes)
+    heights = relief.sample_local(SITE, posting_m, nodes)
     many = round(JUDGED_M / posting_m)
     judged = resize_grid(heights, (nodes // many, nodes // many))
-    degrees = slope_degrees(slope_components(judged, JUDGED_M, JUDGED_M, BASE_M))
+    degrees = convert_to_degrees(compute_slope_components(judged, JUDGED_M, JUDGED_M, BASE_M))
     return GroundField(kind, seed, heights, degrees)
 
 

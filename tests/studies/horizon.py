@@ -22,7 +22,7 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import ARCSEC
 from catalog.places import make_folder
 from catalog.progress import Progress
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.relief.sums import load_relief
 from optnav_cli.fix import Fix
@@ -149,7 +149,7 @@ def run(
     rows    only rows whose name contains this
     Raises ConfigError where the shared data are not named.
     """
-    globe = path_of(flights.GLOBE, Path.cwd())
+    globe = resolve_path(flights.GLOBE, Path.cwd())
     chosen = flights.rows_named(ROWS, rows)
     make_folder(output)
     results: list[HorizonResult] = []

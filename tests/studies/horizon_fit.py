@@ -21,7 +21,7 @@ from catalog.files import check_file, starts_with, write_output
 from catalog.geometry.vectors import squared_distance
 from catalog.places import make_folder
 from catalog.progress import Progress
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.relief.sums import load_relief
 from optnav_cli.frames.folder import read_folder
@@ -118,7 +118,7 @@ def run(
     """
     if output is not None:
         check_file(output, starts_with(BEGINNING))
-    globe = path_of(flights.GLOBE, Path.cwd())
+    globe = resolve_path(flights.GLOBE, Path.cwd())
     make_folder(folder)
     names = NAMES
     if rows == horizon_flights.NAME:

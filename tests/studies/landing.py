@@ -9,7 +9,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
-from catalog.geometry.ellipsoid import normal_at, surface_at
+from catalog.geometry.ellipsoid import compute_normals, project_to_surface
 from catalog.geometry.vectors import perpendicular_basis
 from catalog.progress import Progress, SilentProgress
 from optnav_cli.orbit.landing.departure import Site, depart
@@ -179,8 +179,8 @@ def _ray_rows(ground: DigitalSurface, seed: int) -> list[tuple[Cell, ...]]:
     """Rays from 0.5 to 60 km, by their angle to the ellipsoid's normal or to the centre."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(RAYS, 3))
-    foot = surface_at(directions, ground.radii)
-    up = normal_at(foot, ground.radii)
+    foot = project_to_surface(directions, ground.radii)
+    up = compute_normals(foot, ground.radii)
     foot = foot - ground.height(foot)[:, None] * up
     height = 10.0 ** rng.uniform(np.log10(500.0), np.log10(6e4), RAYS)
     off = np.radians(rng.uniform(0.0, 45.0, RAYS))

@@ -231,7 +231,10 @@ def _shares(run_folder: Path, truth: Path) -> tuple[Cell, ...]:
     found = read_fixes([read_run(run_folder)])
     fixes = sorted(found.fixes, key=lambda fix: fix.tdb_s)
     frame = found.body.catalog_frame
-    true = {row.file: frame.stated(row.position_m) for row in read_truth(truth, found.attitude)}
+    true = {
+        row.file: frame.transform_to_stated(row.position_m)
+        for row in read_truth(truth, found.attitude)
+    }
     off = [np.linalg.solve(sqrtm(f.covariance_m2).real, f.position_m - true[f.file]) for f in fixes]
     places = np.array([fix.position_m for fix in fixes])
     times = np.array([fix.tdb_s for fix in fixes])

@@ -19,9 +19,9 @@ import numpy as np
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import load_body
 from catalog.config import resource
-from catalog.correlation.ncc import high_pass
+from catalog.correlation.ncc import filter_high_pass
 from catalog.correlation.peak import locate_peak
-from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.projection import Stereographic, make_node_grid
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
 from catalog.terrain.dem.source import DemSettings, DemSource
@@ -78,7 +78,7 @@ def tycho_ground(size: int = SIZE) -> tuple[Float32Array, float]:
     source = DemSource.open(DemSettings(path=path.name), path.parent, body)
     west, south, east, north = source.latlon_bounds()
     place = Stereographic((south + north) / 2.0, (west + east) / 2.0, body.radius_m)
-    return source.heights_at(*place.latlon(*node_grid(size, POSTING_M))), body.radius_m
+    return source.heights_at(*place.latlon(*make_node_grid(size, POSTING_M))), body.radius_m
 
 
 def compare(
@@ -89,11 +89,11 @@ def compare(
     ground (n, n) a map grid; sun, view (3,) unit vectors, east, north, up at its centre.
     """
     hapke = render_map(ground, POSTING_M, sun, radius_m=radius_m, view_local=view)
-    sharp = high_pass(hapke)
+    sharp = filter_high_pass(hapke)
     result = {}
     for law in SIMPLE_LAWS:
         drawn = render_map(ground, POSTING_M, sun, radius_m=radius_m, view_local=view, law=law)
-        simple = high_pass(drawn)
+        simple = filter_high_pass(drawn)
         correlation = float(np.corrcoef(sharp.ravel(), simple.ravel())[0, 1])
         result[law] = correlation, _rms_shift(sharp, simple, hapke > 0.0)
     return result

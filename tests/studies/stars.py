@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
-from catalog.bodies.ephemeris import velocity_inertial
-from catalog.bodies.stars import aberrated, bright_stars
+from catalog.bodies.ephemeris import compute_velocity_inertial
+from catalog.bodies.stars import apply_aberration, load_bright_stars
 from catalog.config import resource
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import ARCSEC
@@ -130,8 +130,8 @@ def _attitude(
     ahead = folder.attitude.inertial_from_body(truth.tdb_s).apply(ahead)
     flying = np.sqrt(body.gm_m3_s2 / distance) * ahead
     # in the picture the craft stands: to the one that flies so, this is the sky that it expects
-    stars = bright_stars().at(truth.tdb_s)
-    expected = aberrated(stars, velocity_inertial(body, truth.tdb_s) - flying)
+    stars = load_bright_stars().propagate(truth.tdb_s)
+    expected = apply_aberration(stars, compute_velocity_inertial(body, truth.tdb_s) - flying)
     view = SkyView(body, truth.tdb_s, distance)
     try:
         spots = find_spots(picture.values, picture.saturation)
@@ -150,8 +150,8 @@ def _timed(identifier: StarIdentifier, spots: StarSpots) -> tuple[StarFix | None
 def _found(
     camera: Camera, faintest: float, trials: int, rng: np.random.Generator
 ) -> tuple[Cell, ...]:
-    stars = bright_stars()
-    identifier = StarIdentifier(camera, stars.at(None))
+    stars = load_bright_stars()
+    identifier = StarIdentifier(camera, stars.propagate(None))
     errors: list[FloatArray] = []
     squares: list[float] = []
     times: list[float] = []
@@ -179,7 +179,7 @@ def _found(
 
 
 def _empty(camera: Camera, trials: int, rng: np.random.Generator) -> tuple[Cell, ...]:
-    identifier = StarIdentifier(camera, bright_stars().at(None))
+    identifier = StarIdentifier(camera, load_bright_stars().propagate(None))
     accepted = 0
     times: list[float] = []
     for _ in range(trials):
@@ -193,8 +193,8 @@ def _empty(camera: Camera, trials: int, rng: np.random.Generator) -> tuple[Cell,
 
 
 def _spots(camera: Camera, turn: Rotation, faintest: float, rng: np.random.Generator) -> StarSpots:
-    stars = bright_stars()
-    pixels = camera.project(turn.apply(stars.at(None)))
+    stars = load_bright_stars()
+    pixels = camera.project(turn.apply(stars.propagate(None)))
     seen = np.flatnonzero(np.isfinite(pixels).all(axis=1) & (stars.magnitudes < faintest))
     seen = seen[camera.contains(pixels[seen])][: MAX_SPOTS - FALSE_SPOTS]
     places = pixels[seen] + rng.normal(0.0, SPOT_PX, (len(seen), 2))

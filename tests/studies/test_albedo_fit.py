@@ -12,8 +12,8 @@ from catalog.config import resource, toml_text
 from catalog.correlation.relief_albedo import (
     FILE,
     SMOOTH_M,
-    shipped_strengths,
-    steepness_and_crests,
+    compute_steepness_and_crests,
+    load_shipped_strengths,
 )
 from catalog.errors import ConfigError, NothingToDoError, UsageError
 from catalog.progress import SilentProgress
@@ -31,7 +31,7 @@ def ground(
     """Squares of hills whose brightness goes with them, and with rises toward east and north."""
     rng = np.random.default_rng(seed)
     hills = 2e4 * ndimage.gaussian_filter(rng.normal(size=(200, 250)), 3.0)
-    steep, crest = steepness_and_crests(hills, POSTINGS_M)
+    steep, crest = compute_steepness_and_crests(hills, POSTINGS_M)
     down, east = np.gradient(hills, *POSTINGS_M)
     logs = steepness * steep + crests * crest + rises[0] * east - rises[1] * down
     logs += 0.02 * rng.normal(size=hills.shape)
@@ -59,14 +59,14 @@ def test_shading_that_a_map_holds_is_found_beside_albedo_that_follows_relief() -
 
 def test_the_report_tells_grounds_that_were_not_fitted_with() -> None:
     one = ground(1, 0.6, -0.2)
-    result = AlbedoFitResult(shipped_strengths(), fitted([one]), [one], [one], [one])
+    result = AlbedoFitResult(load_shipped_strengths(), fitted([one]), [one], [one], [one])
     tables = fit.report(result).tables
-    assert [row[0] for row in tables[0].rows] == list(numbers(shipped_strengths()))
+    assert [row[0] for row in tables[0].rows] == list(numbers(load_shipped_strengths()))
     assert [row[2] for row in tables[1].rows] == ["fitted with", "other ground", "shown alone"]
 
 
 def test_new_strengths_are_written_over_the_old_ones() -> None:
-    old = numbers(shipped_strengths())
+    old = numbers(load_shipped_strengths())
     text = likelihood.with_numbers(toml_text(resource(FILE)), old, old | {"crests.mean": -0.5})
     assert "mean = -0.5 " in text
     assert text.count("mean = 0.96") == 1

@@ -34,7 +34,7 @@ def test_the_first_policy_is_what_a_build_does():
 
 
 def test_policies_meet_the_same_trials(context, monkeypatch):
-    cells = [int(context.grid.cell_of(lat, -11.0)) for lat in (-42.5, -43.5)]
+    cells = [int(context.grid.find_cells(lat, -11.0)) for lat in (-42.5, -43.5)]
     own = economy.policies()[0]
     same = economy.Policy("same", own.render, own.check)
     monkeypatch.setattr(economy, "policies", lambda: (own, same))

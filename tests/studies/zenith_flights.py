@@ -11,7 +11,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.stars import bright_stars
+from catalog.bodies.stars import load_bright_stars
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings, SunlightSettings
@@ -104,7 +104,7 @@ class ZenithFlight:
 
     @cached_property
     def _stars(self) -> FloatArray:
-        return bright_stars().at(self.start_s)[list_navigation_stars()]
+        return load_bright_stars().propagate(self.start_s)[list_navigation_stars()]
 
     def pairs(self, times: FloatArray, states: FloatArray) -> IntArray:
         """(n, 2) which of the navigation stars are looked at; -1 where there is none."""
@@ -140,7 +140,7 @@ class ZenithFlight:
         tilt = errors.vertical_arcsec * rng.normal(size=(len(times), 2))[session]
         tilt += errors.bias_arcsec * rng.normal(size=2)
         values = values + ARCSEC * (by_vertical * tilt).sum(axis=1)
-        names = tuple(bright_stars().label(int(list_navigation_stars()[k])) for k in used)
+        names = tuple(load_bright_stars().label(int(list_navigation_stars()[k])) for k in used)
         sigma = ARCSEC * np.hypot(errors.sensor_arcsec, errors.vertical_arcsec)
         sights = ZenithSights(
             times[session], directions, values, np.full(len(values), sigma), star_of, names

@@ -59,7 +59,7 @@ def make_ground(
     lowest, highest = float(heights.min()), float(heights.max())
     if not np.isfinite(highest - lowest):
         raise ValueError("a ground needs a height at every node")
-    of_4 = _block_maxima(heights)
+    of_4 = _find_block_maxima(heights)
     of_16 = _join_maxima(of_4)
     of_64 = _join_maxima(of_16)
     max_heights = of_4, of_16, of_64, _join_maxima(of_64)
@@ -67,7 +67,7 @@ def make_ground(
     return Ground(heights, *location, *max_heights, lowest, highest)
 
 
-def whole_sphere(heights: Float32Array, radius_m: float, seam: float) -> Ground:
+def make_whole_sphere(heights: Float32Array, radius_m: float, seam: float) -> Ground:
     """A ground all round the body from pixels that cover the sphere once.
 
     heights  (n, 2n) m, pixel centres half a step inside the poles, first column half a step east
@@ -90,8 +90,8 @@ def whole_sphere(heights: Float32Array, radius_m: float, seam: float) -> Ground:
     return make_ground(wide, 0.5 * np.pi + 1.5 * step, (shift - 1.5) * step, step, step, radius_m)
 
 
-def surroundings(wide: Ground, inner: Ground, margin: float) -> Ground:
-    """The part of an all-round ground (`whole_sphere`) about another one.
+def crop_surroundings(wide: Ground, inner: Ground, margin: float) -> Ground:
+    """The part of an all-round ground (`make_whole_sphere`) about another one.
 
     margin  rad  how far it reaches beyond the inner ground, as far as the wide one has nodes
     """
@@ -113,7 +113,7 @@ def surroundings(wide: Ground, inner: Ground, margin: float) -> Ground:
 
 
 @parallel_kernel
-def _block_maxima(heights: Float32Array) -> Float32Array:
+def _find_block_maxima(heights: Float32Array) -> Float32Array:
     rows, cols = heights.shape
     out = np.empty(((rows + 3) // 4, (cols + 3) // 4), np.float32)
     for i in numba.prange(out.shape[0]):
@@ -139,7 +139,7 @@ def _join_maxima(max_heights: Float32Array) -> Float32Array:
 
 
 @kernel
-def grid_place(ground: Ground, x: float, y: float, z: float) -> tuple[float, float]:
+def locate_on_grid(ground: Ground, x: float, y: float, z: float) -> tuple[float, float]:
     """Fractional row and column of a body-fixed direction; columns count from the west node on."""
     lat = np.arctan2(z, np.sqrt(x * x + y * y))
     east = np.arctan2(y, x) - ground.west

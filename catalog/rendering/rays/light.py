@@ -31,7 +31,9 @@ class Light(NamedTuple):
 
 
 @kernel
-def node_xyz(ground: Ground, row: float, col: float, height: float) -> tuple[float, float, float]:
+def locate_node(
+    ground: Ground, row: float, col: float, height: float
+) -> tuple[float, float, float]:
     """Body-fixed place of a node."""
     lat, lon = ground.north - row * ground.step_lat, ground.west + col * ground.step_lon
     r = ground.radius_m + height
@@ -39,7 +41,7 @@ def node_xyz(ground: Ground, row: float, col: float, height: float) -> tuple[flo
 
 
 @kernel
-def _way_out(r: float, climb: float, ground: Ground) -> float:
+def _measure_way_out(r: float, climb: float, ground: Ground) -> float:
     """Way (m) from radius r, rising by `climb` a metre, to above the highest node of a ground."""
     top = ground.radius_m + ground.highest_m
     free = r * r * climb * climb + (top - r) * (top + r)
@@ -47,7 +49,7 @@ def _way_out(r: float, climb: float, ground: Ground) -> float:
 
 
 @kernel
-def lit_share(
+def compute_lit_share(
     first: Ground, second: Ground, third: Ground, x: float, y: float, z: float, sun: FloatArray
 ) -> float:
     """Share of the Sun's disc that terrain leaves free over a place on the first ground.
@@ -69,18 +71,18 @@ def lit_share(
     low = ux * dx + uy * dy + uz * dz
     full = 2.0 * SUN_RADIUS
     s = _FIRST_NODES * first.step_lat * first.radius_m
-    end = _way_out(r, low, first)
+    end = _measure_way_out(r, low, first)
     ray = Ray(x, y, z, dx, dy, dz)
     # numbers and not literals, for each of which numba would compile `walk` anew
     finest, coarser = int(np.int64(0)), int(np.int64(2))
     how, s, _, _, deepest = walk(first, ray, s, end, finest, full)
     # one after the other: a loop over the grounds copies them, half as long again
-    end = _way_out(r, low, second)
+    end = _measure_way_out(r, low, second)
     if how != DARK and s < end:
         s = max(s, second.step_lat * second.radius_m)
         how, s, _, _, deep = walk(second, ray, s, end, coarser, full)
         deepest = max(deepest, deep)
-    end = _way_out(r, low, third)
+    end = _measure_way_out(r, low, third)
     if how != DARK and s < end:
         s = max(s, third.step_lat * third.radius_m)
         how, s, _, _, deep = walk(third, ray, s, end, coarser, full)
@@ -143,7 +145,7 @@ def shade_node(
 
 
 @parallel_kernel
-def light_blocks(
+def fill_lit_shares(
     ground: Ground,
     second: Ground,
     third: Ground,
@@ -163,8 +165,8 @@ def light_blocks(
                 continue
             for i in range(bi * BLOCK, min((bi + 1) * BLOCK, rows)):
                 for j in range(bj * BLOCK, min((bj + 1) * BLOCK, cols)):
-                    x, y, z = node_xyz(ground, i, j, float(ground.heights[i, j]))
-                    share = lit_share(ground, second, third, x, y, z, sun)
+                    x, y, z = locate_node(ground, i, j, float(ground.heights[i, j]))
+                    share = compute_lit_share(ground, second, third, x, y, z, sun)
                     lit[i, j] = np.uint8(255.0 * share + 0.5)
             wanted[bi, bj] = 2
 

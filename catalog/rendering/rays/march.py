@@ -4,7 +4,7 @@ The ray is followed from block to block. A block whose highest node stays below 
 in one step; in the last instance single cells are tested, so no crest is jumped. Places along the
 ray are second-order polynomials (of gnomonic coordinates) about an anchor that moves on every 10
 km, within 0.2 m of the exact ones, so that a step needs no trigonometry and no division. Nearer
-than 7 deg to a pole the anchor moves more often. `trace` nests two
+than 7 deg to a pole the anchor moves more often. `intersect_ground` nests two
 grids: a fine one over a region, a smooth one of the body around it.
 """
 
@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from catalog.geometry.grid import bicubic_at, bilinear
+from catalog.geometry.grid import interpolate_bicubic, interpolate_bilinear
 from catalog.geometry.kernel import kernel
-from catalog.rendering.rays.ground import Ground, grid_place
+from catalog.rendering.rays.ground import Ground, locate_on_grid
 
 LEFT, HIT, DARK = 0, 1, 2  # how a walk ends: out of the grid or the range, on the ground, in shadow
 ANCHOR_REACH = 0.006  # rad
@@ -43,7 +43,7 @@ class Ray(NamedTuple):
 
 
 @kernel
-def _block_highest(ground: Ground, level: int, row: int, col: int) -> float:
+def _get_block_max(ground: Ground, level: int, row: int, col: int) -> float:
     if level == 0:
         top = ground.highest_4[row >> 2, col >> 2]
     elif level == 1:
@@ -119,7 +119,7 @@ def walk(
         after = height + step * (h1 + (2.0 * t + step) * h2)
         if level >= 0:
             # a ray that sinks and rises again inside the block is lowest between
-            if min(height, after) - 0.25 * step * step * h2 > _block_highest(ground, level, i, j):
+            if min(height, after) - 0.25 * step * step * h2 > _get_block_max(ground, level, i, j):
                 t += step
                 level = min(level + 1, 3)
             else:
@@ -127,7 +127,7 @@ def walk(
             continue
         ahead = t + step
         next_row, next_col = r0 + ahead * (r1 + ahead * r2), c0 + ahead * (c1 + ahead * c2)
-        clearance = after - bilinear(ground.heights, next_row, next_col)
+        clearance = after - interpolate_bilinear(ground.heights, next_row, next_col)
         if clearance < 0.0:
             if darkness <= 0.0:
                 over = next_row - row, next_col - col
@@ -152,7 +152,9 @@ def _is_clear(
 ) -> bool:
     """Whether a ray is above the ground at t in 0..1 of a step; see `refine`."""
     ray = heights[0] + t * (heights[1] - heights[0])
-    return ray > bilinear(ground.heights, place[0] + t * over[0], place[1] + t * over[1])
+    return ray > interpolate_bilinear(
+        ground.heights, place[0] + t * over[0], place[1] + t * over[1]
+    )
 
 
 @kernel
@@ -198,7 +200,7 @@ def refine(
 
 
 @kernel
-def _to_box(fine: Ground, lat: float, lon: float) -> float:
+def _bound_box_distance(fine: Ground, lat: float, lon: float) -> float:
     """A lower bound of the ground distance (m) from a place to the fine grid's box; 0 inside."""
     rows, cols = fine.heights.shape
     south, width = fine.north - (rows - 1) * fine.step_lat, (cols - 1) * fine.step_lon
@@ -214,7 +216,9 @@ def _to_box(fine: Ground, lat: float, lon: float) -> float:
 
 
 @kernel
-def trace(fine: Ground, wide: Ground, ray: Ray, hint: float) -> tuple[int, float, float, float]:
+def intersect_ground(
+    fine: Ground, wide: Ground, ray: Ray, hint: float
+) -> tuple[int, float, float, float]:
     """First crossing of a ray with the ground.
 
     fine, wide  inside the box of `fine` its heights are the ground, outside those of `wide`
@@ -244,7 +248,7 @@ def trace(fine: Ground, wide: Ground, ray: Ray, hint: float) -> tuple[int, float
         if s >= end:
             break
         px, py, pz = ox + s * dx, oy + s * dy, oz + s * dz
-        row, col = grid_place(fine, px, py, pz)
+        row, col = locate_on_grid(fine, px, py, pz)
         if 0.0 <= row < rows - 1 and 0.0 <= col < cols - 1:
             how, at, row, col, _ = walk(fine, ray, s, end, level, 0.0)
             if how == HIT:
@@ -253,12 +257,12 @@ def trace(fine: Ground, wide: Ground, ray: Ray, hint: float) -> tuple[int, float
             last, last_clear = s, np.inf
             continue
         r = np.sqrt(px * px + py * py + pz * pz)
-        row, col = grid_place(wide, px, py, pz)
-        clear = r - radius - bicubic_at(wide.heights, row, col)
+        row, col = locate_on_grid(wide, px, py, pz)
+        clear = r - radius - interpolate_bicubic(wide.heights, row, col)
         if clear < _CLOSE_M:
             if clear < -_CLOSE_M and last_clear < np.inf:
                 s = last + (s - last) * last_clear / (last_clear - clear)
-                row, col = grid_place(wide, ox + s * dx, oy + s * dy, oz + s * dz)
+                row, col = locate_on_grid(wide, ox + s * dx, oy + s * dy, oz + s * dz)
             return WIDE, s, row, col
         last, last_clear = s, clear
         climb = (px * dx + py * dy + pz * dz) / r
@@ -266,5 +270,5 @@ def trace(fine: Ground, wide: Ground, ray: Ray, hint: float) -> tuple[int, float
         step = clear / (max(-climb, 0.0) + STEEPEST_WIDE_SLOPE * flat)
         lat, lon = np.arctan2(pz, np.sqrt(px * px + py * py)), np.arctan2(py, px)
         # over the ground the ray moves at most `flat` times its own way (and it is above it)
-        s += max(min(step, max(_to_box(fine, lat, lon) / flat, 1.0)), 0.1)
+        s += max(min(step, max(_bound_box_distance(fine, lat, lon) / flat, 1.0)), 0.1)
     return SKY, np.inf, 0.0, 0.0

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import ByteArray, Float32Array, FloatArray
-from catalog.geometry.grid import bicubic_at, bilinear
+from catalog.geometry.grid import interpolate_bicubic, interpolate_bilinear
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.geometry.vectors import unit
 from catalog.photometry.hapke import LUNAR, HapkeParameters
-from catalog.rendering.rays.ground import Ground, surroundings
-from catalog.rendering.rays.light import BLOCK, Light, light_blocks, shade, shade_blocks
-from catalog.rendering.rays.march import FINE, SKY, WIDE, Ray, trace
+from catalog.rendering.rays.ground import Ground, crop_surroundings
+from catalog.rendering.rays.light import BLOCK, Light, fill_lit_shares, shade, shade_blocks
+from catalog.rendering.rays.march import FINE, SKY, WIDE, Ray, intersect_ground
 
 SHADOW_REACH = 0.06  # rad
 # Rays within 37 deg of the vertical: ground that rises by less than 53 deg hides nothing from them.
@@ -73,7 +73,7 @@ class Scene:
     """Nested grounds under one Sun. Shadows are computed once, where a picture needs them.
 
     fine      the ground inside its box
-    wide      the ground outside it; see `ground.whole_sphere`
+    wide      the ground outside it; see `ground.make_whole_sphere`
     sun_body  (3,) direction to the Sun, body frame, any length
     between   a coarser grid around `fine` that only casts shadows on it
     surface   Hapke's parameters
@@ -90,10 +90,10 @@ class Scene:
         self.fine, self.wide, self.surface = fine, wide, surface
         self.sun = unit(sun_body)
         # mountains beyond the fine ground's border shade it from as far as this, about 100 km
-        self._around = surroundings(wide, fine, SHADOW_REACH)
+        self._around = crop_surroundings(wide, fine, SHADOW_REACH)
         self.between = self._around if between is None else between
-        self._fine_lit, self._fine_wanted = _masks(fine)
-        self._wide_lit, self._wide_wanted = _masks(wide)
+        self._fine_lit, self._fine_wanted = _make_masks(fine)
+        self._wide_lit, self._wide_wanted = _make_masks(wide)
 
     def picture(
         self,
@@ -121,10 +121,12 @@ class Scene:
         distance, row, col = (np.zeros(shape, np.float32) for _ in range(3))
         view, aside = View(origin, corners), (samples, limb_samples)
         hits = Hits(np.zeros(shape, np.uint8), distance, row, col)
-        first_hits(self.fine, self.wide, view, hits)
+        fill_first_hits(self.fine, self.wide, view, hits)
 
         mark_blocks(WIDE, hits, self._wide_wanted)
-        light_blocks(self.wide, self.wide, self.wide, self.sun, self._wide_wanted, self._wide_lit)
+        fill_lit_shares(
+            self.wide, self.wide, self.wide, self.sun, self._wide_wanted, self._wide_lit
+        )
         wanted = np.zeros_like(self._fine_wanted)
         mark_blocks(FINE, hits, wanted)
         shaded = np.full(self.fine.heights.shape, np.nan, np.float32)
@@ -133,17 +135,19 @@ class Scene:
             self._shade(wanted, origin, shaded)
             missing = np.zeros_like(wanted)
             shading = Shading(self.sun, shaded, self._wide_lit, missing)
-            mean_radiance(self.fine, self.wide, self.surface, view, hits, shading, aside, out)
+            average_radiance(self.fine, self.wide, self.surface, view, hits, shading, aside, out)
             # between the middles of pixels a few rays find ground that these did not see
             if not missing.any():
                 if albedo is not None:
-                    self._colour(out, view, hits, albedo)
+                    self._apply_albedo(out, view, hits, albedo)
                 return out
             done = wanted.astype(bool)
             add_with_neighbours(missing, wanted)
             wanted[done] = 0
 
-    def _colour(self, out: Float32Array, view: View, hits: Hits, albedo: Reflectivity) -> None:
+    def _apply_albedo(
+        self, out: Float32Array, view: View, hits: Hits, albedo: Reflectivity
+    ) -> None:
         """Multiply radiances (rows, cols) by the albedo of what the pixels' middles see."""
         origin = view.origin
         for i in range(len(out)):
@@ -165,11 +169,11 @@ class Scene:
         # blocks that an earlier picture lit stay lit
         self._fine_wanted[(wanted == 1) & (self._fine_wanted == 0)] = 1
         grounds = self.fine, self.between, self._around
-        light_blocks(*grounds, self.sun, self._fine_wanted, self._fine_lit)
+        fill_lit_shares(*grounds, self.sun, self._fine_wanted, self._fine_lit)
         shade_blocks(self.fine, self.sun, origin, self.surface, wanted, self._fine_lit, shaded)
 
 
-def _masks(ground: Ground) -> tuple[ByteArray, ByteArray]:
+def _make_masks(ground: Ground) -> tuple[ByteArray, ByteArray]:
     """Lit shares of the nodes and the state of their blocks, both empty."""
     rows, cols = ground.heights.shape
     blocks = (rows + BLOCK - 1) // BLOCK, (cols + BLOCK - 1) // BLOCK
@@ -177,7 +181,9 @@ def _masks(ground: Ground) -> tuple[ByteArray, ByteArray]:
 
 
 @kernel
-def _ray(corners: FloatArray, i: int, j: int, y: float, x: float) -> tuple[float, float, float]:
+def _make_ray(
+    corners: FloatArray, i: int, j: int, y: float, x: float
+) -> tuple[float, float, float]:
     """Unit ray through a pixel at (x, y) in 0..1 across it; NaN where the camera has none."""
     a, b = (1.0 - y) * (1.0 - x), (1.0 - y) * x
     c, d = y * (1.0 - x), y * x
@@ -190,14 +196,14 @@ def _ray(corners: FloatArray, i: int, j: int, y: float, x: float) -> tuple[float
 
 
 @kernel
-def _pixel_angle(corners: FloatArray, i: int, j: int) -> float:
+def _measure_pixel_angle(corners: FloatArray, i: int, j: int) -> float:
     p, q = corners[i, j], corners[i + 1, j + 1]
     d = (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2
     return float(np.sqrt(0.5 * d))
 
 
 @parallel_kernel
-def first_hits(fine: Ground, wide: Ground, view: View, hits: Hits) -> None:
+def fill_first_hits(fine: Ground, wide: Ground, view: View, hits: Hits) -> None:
     """Fill in what the middle of each pixel sees.
 
     Where rays are steep, what a pixel sees is as far away as what its left neighbour sees, save
@@ -208,19 +214,21 @@ def first_hits(fine: Ground, wide: Ground, view: View, hits: Hits) -> None:
     for parallel in numba.prange(kind.shape[0]):
         i, hint = int(np.int64(parallel)), 0.0  # signed, or callees are compiled a second time
         for j in range(kind.shape[1]):
-            dx, dy, dz = _ray(corners, i, j, 0.5, 0.5)
+            dx, dy, dz = _make_ray(corners, i, j, 0.5, 0.5)
             kind[i, j] = SKY
             if dx != dx:
                 hint = 0.0
                 continue
-            k, s, r, c = trace(fine, wide, Ray(origin[0], origin[1], origin[2], dx, dy, dz), hint)
+            k, s, r, c = intersect_ground(
+                fine, wide, Ray(origin[0], origin[1], origin[2], dx, dy, dz), hint
+            )
             kind[i, j], distance[i, j], row[i, j], col[i, j] = k, s, r, c
             hint = 0.0
             if k == FINE:
                 sink = dx * (origin[0] + s * dx) + dy * (origin[1] + s * dy)
                 sink += dz * (origin[2] + s * dz)
                 if sink < -STEEP * radius:
-                    hint = max(s - 10.0 * s * _pixel_angle(corners, i, j), 1.0)
+                    hint = max(s - 10.0 * s * _measure_pixel_angle(corners, i, j), 1.0)
 
 
 @kernel
@@ -249,7 +257,7 @@ def add_with_neighbours(seen: ByteArray, wanted: ByteArray) -> None:
 
 
 @kernel
-def _wide_radiance(
+def _shade_wide(
     wide: Ground,
     row: float,
     col: float,
@@ -265,10 +273,10 @@ def _wide_radiance(
     free += y * ((1.0 - x) * lit[r + 1, c] + x * lit[r + 1, c + 1])
     if free <= 0.0:
         return 0.0
-    south_rate = bicubic_at(h, row + 0.5, col) - bicubic_at(h, row - 0.5, col)
-    east_rate = bicubic_at(h, row, col + 0.5) - bicubic_at(h, row, col - 0.5)
+    south_rate = interpolate_bicubic(h, row + 0.5, col) - interpolate_bicubic(h, row - 0.5, col)
+    east_rate = interpolate_bicubic(h, row, col + 0.5) - interpolate_bicubic(h, row, col - 0.5)
     lat, lon = wide.north - row * wide.step_lat, wide.west + col * wide.step_lon
-    height = bicubic_at(h, row, col)
+    height = interpolate_bicubic(h, row, col)
     light = Light(sun, camera, surface)
     value: float = shade(wide, lat, lon, height, south_rate, east_rate, light)
     value *= free / 255.0
@@ -276,7 +284,7 @@ def _wide_radiance(
 
 
 @kernel
-def _samples(kind: ByteArray, i: int, j: int, nodes: float, samples: tuple[int, int]) -> int:
+def _count_samples(kind: ByteArray, i: int, j: int, nodes: float, samples: tuple[int, int]) -> int:
     """Rays a side of a pixel: as many as its ground has `nodes`, within `samples` of a `Scene`."""
     most, limb = samples
     rows, cols = kind.shape
@@ -314,7 +322,7 @@ def _smooth_at(kind: ByteArray, row: Float32Array, col: Float32Array, i: int, j:
 
 
 @parallel_kernel
-def mean_radiance(
+def average_radiance(
     fine: Ground,
     wide: Ground,
     surface: HapkeParameters,
@@ -338,8 +346,8 @@ def mean_radiance(
         for j in range(kind.shape[1]):
             if out[i, j] == out[i, j]:
                 continue
-            angle = _pixel_angle(corners, i, j)
-            n = _samples(kind, i, j, distance[i, j] * angle / posting, samples)
+            angle = _measure_pixel_angle(corners, i, j)
+            n = _count_samples(kind, i, j, distance[i, j] * angle / posting, samples)
             smooth = n > 1 and _smooth_at(kind, row, col, i, j)
             total = 0.0
             for a in range(n):
@@ -347,18 +355,18 @@ def mean_radiance(
                     k, r, c = int(kind[i, j]), float(row[i, j]), float(col[i, j])
                     if smooth:
                         y, x = i + (a + 0.5) / n - 0.5, j + (b + 0.5) / n - 0.5
-                        r, c = bilinear(row, y, x), bilinear(col, y, x)
+                        r, c = interpolate_bilinear(row, y, x), interpolate_bilinear(col, y, x)
                     elif n > 1:
-                        dx, dy, dz = _ray(corners, i, j, (a + 0.5) / n, (b + 0.5) / n)
+                        dx, dy, dz = _make_ray(corners, i, j, (a + 0.5) / n, (b + 0.5) / n)
                         k = SKY
                         if dx == dx:
                             ray = Ray(origin[0], origin[1], origin[2], dx, dy, dz)
-                            k, _, r, c = trace(fine, wide, ray, 0.0)
+                            k, _, r, c = intersect_ground(fine, wide, ray, 0.0)
                     if k == FINE:
-                        value = bilinear(shaded, r, c)
+                        value = interpolate_bilinear(shaded, r, c)
                         if value != value:
                             missing[int(r) // BLOCK, int(c) // BLOCK] = 1
                         total += value
                     elif k == WIDE:
-                        total += _wide_radiance(wide, r, c, wide_lit, sun, origin, surface)
+                        total += _shade_wide(wide, r, c, wide_lit, sun, origin, surface)
             out[i, j] = np.float32(total / (n * n))

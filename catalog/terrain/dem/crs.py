@@ -15,7 +15,7 @@ from catalog.terrain.dem.georeference import Steps
 GEOIDS = ("geoid", "selenoid", "gravity", "mean sea level", "egm", "orthometric")
 
 
-def eastward(wkt: str, affine: Steps, west: bool) -> tuple[str, Steps, float]:
+def orient_eastward(wkt: str, affine: Steps, west: bool) -> tuple[str, Steps, float]:
     """Bring a coordinate system to east longitudes from 0, without its vertical part.
 
     affine  the raster's steps and corner, in the unit of the coordinate system
@@ -25,7 +25,7 @@ def eastward(wkt: str, affine: Steps, west: bool) -> tuple[str, Steps, float]:
     turned.
     """
     stated = pyproj.CRS.from_wkt(wkt)
-    crs = _horizontal(stated)
+    crs = _extract_horizontal(stated)
     directions = [axis.direction for axis in crs.axis_info]
     if crs.is_projected and "west" in directions:
         raise ValueError("its x counts westward; reproject it to eastings with gdalwarp")
@@ -36,15 +36,17 @@ def eastward(wkt: str, affine: Steps, west: bool) -> tuple[str, Steps, float]:
         turn = float(meridian.longitude) * float(meridian.unit_conversion_factor)
     if not west and turn == 0.0:
         return (wkt if crs == stated else crs.to_wkt()), affine, 1.0
-    turned = pyproj.CRS.from_json_dict(_turned(crs.to_json_dict(), math.degrees(turn), west))
+    turned = pyproj.CRS.from_json_dict(
+        _rotate_longitudes(crs.to_json_dict(), math.degrees(turn), west)
+    )
     if not crs.is_geographic:
         return turned.to_wkt(), affine, 1.0
     sign = -1.0 if west else 1.0
     a, b, c, d, e, f = affine
-    return turned.to_wkt(), (a, b, c + sign * turn / _radians(crs), d, e, f), sign
+    return turned.to_wkt(), (a, b, c + sign * turn / _get_radians_per_unit(crs), d, e, f), sign
 
 
-def _horizontal(crs: pyproj.CRS) -> pyproj.CRS:
+def _extract_horizontal(crs: pyproj.CRS) -> pyproj.CRS:
     """The part of a system that says where a pixel lies; the vertical one must be plain heights."""
     if crs.is_compound and len(crs.sub_crs_list) > 1:
         crs, vertical = crs.sub_crs_list[:2]
@@ -57,12 +59,12 @@ def _horizontal(crs: pyproj.CRS) -> pyproj.CRS:
     return crs.to_2d() if crs.is_geographic and len(crs.axis_info) > 2 else crs
 
 
-def _radians(crs: pyproj.CRS) -> float:
+def _get_radians_per_unit(crs: pyproj.CRS) -> float:
     """Radians in a unit of a map in degrees."""
     return float(crs.axis_info[0].unit_conversion_factor)
 
 
-def _turned(crs: dict[str, Any], turn_deg: float, west: bool) -> dict[str, Any]:
+def _rotate_longitudes(crs: dict[str, Any], turn_deg: float, west: bool) -> dict[str, Any]:
     """A system in PROJJSON with its longitudes eastward from 0."""
     base = crs.get("base_crs", crs)
     for datum in (base.get("datum"), base.get("datum_ensemble")):

@@ -13,7 +13,7 @@ import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
-from catalog.terrain.pyramid.level_window import TileCache, mirrored_poles
+from catalog.terrain.pyramid.level_window import TileCache, find_mirrored_poles
 from catalog.terrain.pyramid.overviews import WHOLE_BLOCK
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 from catalog.terrain.sampling.map_nodes import Pixels
@@ -35,15 +35,15 @@ class Feather:
             self.block *= 2
         self.block_m = self.block * pyramid.source.posting_m
         self.reach = int(np.ceil(self.wide_m / self.block_m)) + 2
-        self.mirrors = mirrored_poles(georeference)
-        self.hole_free = self._whole_blocks(pyramid)
+        self.mirrors = find_mirrored_poles(georeference)
+        self.hole_free = self._find_hole_free_blocks(pyramid)
         cols = self.hole_free.shape[1]
         self.turn = georeference.period / self.block if georeference.wraps else 0.0
         self.even = cols % 2 == 0 and cols * self.block == georeference.shape[1]
 
-    def _whole_blocks(self, pyramid: HeightPyramid) -> BoolArray:
+    def _find_hole_free_blocks(self, pyramid: HeightPyramid) -> BoolArray:
         """Which blocks have all their pixels."""
-        known = pyramid.whole_blocks()
+        known = pyramid.load_hole_free_blocks()
         factor = self.block // WHOLE_BLOCK
         rows, cols = known.shape
         # what a last block lacks is there where the raster goes on, beyond it is nothing
@@ -76,29 +76,31 @@ class Feather:
         for those in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
             at = int(down[those[0]]), int(along[those[0]])
             inner = row[those] - at[0] * TILE, col[those] - at[1] * TILE
-            out[those] = _linear(self._tile(*at), *inner)
+            out[those] = _interpolate_linear(self._tile(*at), *inner)
         return np.clip((out - self.block_m) / self.wide_m, 0.0, 1.0)
 
     def _tile(self, down: int, along: int) -> Float32Array:
         key = self.index, -1, down, along
-        return self.cache.get(key, lambda: self._distances(down, along))
+        return self.cache.get(key, lambda: self._measure_distances(down, along))
 
-    def _distances(self, down: int, along: int) -> Float32Array:
+    def _measure_distances(self, down: int, along: int) -> Float32Array:
         """Distances (TILE + 1, TILE + 1), m, to the next block that is not whole, to the reach."""
         longest = self.reach * self.block_m
         row0 = down * TILE - self.reach
         rows = row0 + np.arange(TILE + 1 + 2 * self.reach)
-        width = self._column_m(rows)
+        width = self._measure_column_m(rows)
         # meridians crowd: more columns are within reach toward a pole
         most = self.hole_free.shape[1] // 2 + 1
         room = int(min(most, np.ceil(longest / max(float(width.min()), 1e-3))))
         cols = along * TILE - room + np.arange(TILE + 1 + 2 * room)
-        hole_free = self._window(rows, cols)
+        hole_free = self._take_hole_free(rows, cols)
         if hole_free.all():
             return np.full((TILE + 1, TILE + 1), longest, np.float32)
-        return _nearest_hole(hole_free, width, self.block_m, self.reach, room, TILE + 1, longest)
+        return _measure_hole_distances(
+            hole_free, width, self.block_m, self.reach, room, TILE + 1, longest
+        )
 
-    def _column_m(self, rows: IntArray) -> FloatArray:
+    def _measure_column_m(self, rows: IntArray) -> FloatArray:
         """Ground width (m) of a block in rows of blocks; rows beyond a pole are those before it."""
         height = self.hole_free.shape[0]
         inside = np.where(rows < 0, -1 - rows, rows)
@@ -111,7 +113,7 @@ class Feather:
         lat, _ = self.georeference.latlon_from_pixel(middle, (inside + 0.5) * self.block - 0.5)
         return self.block_m / self.georeference.columns_per_posting(1.0, lat)
 
-    def _window(self, rows: IntArray, cols: IntArray) -> BoolArray:
+    def _take_hole_free(self, rows: IntArray, cols: IntArray) -> BoolArray:
         """Which blocks are whole, going on round the body and over its poles."""
         height, width = self.hole_free.shape
         above, below = rows < 0, rows >= height
@@ -129,7 +131,7 @@ class Feather:
 
 
 @kernel
-def _nearest_hole(
+def _measure_hole_distances(
     whole: BoolArray,
     width: FloatArray,
     height: float,
@@ -167,7 +169,7 @@ def _nearest_hole(
 
 
 @kernel
-def _linear(tile: Float32Array, row: FloatArray, col: FloatArray) -> FloatArray:
+def _interpolate_linear(tile: Float32Array, row: FloatArray, col: FloatArray) -> FloatArray:
     """Linear interpolation inside a tile."""
     out = np.empty(row.size)
     for i in range(row.size):

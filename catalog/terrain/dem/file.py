@@ -21,8 +21,8 @@ from catalog.bodies.body import Body
 from catalog.config import BUNDLED, resource
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.kernel import kernel
-from catalog.terrain.dem.crs import eastward
-from catalog.terrain.dem.georeference import Georeference, georeference
+from catalog.terrain.dem.crs import orient_eastward
+from catalog.terrain.dem.georeference import Georeference, make_georeference
 from catalog.terrain.dem.label import read_map_label
 
 # A CRS made for another body is off by tens of percent; spheres of one body differ by less.
@@ -54,7 +54,7 @@ SHARED = "shared:"  # a path that begins so is a file in the folder that SHARED_
 SHARED_FOLDER = "OPTNAV_SHARED_DATA"
 
 
-def path_of(name: str, base_dir: Path) -> Path:
+def resolve_path(name: str, base_dir: Path) -> Path:
     """The file that a config names: beside the config, among the data that travel along, or shared.
 
     Raises ConfigError for a shared or shipped file that is not there, and for what is no path.
@@ -79,7 +79,7 @@ def path_of(name: str, base_dir: Path) -> Path:
     return base_dir / name
 
 
-def label_of(path: Path) -> Path:
+def find_label(path: Path) -> Path:
     """The file that GDAL opens for a product: a PDS3 image's detached label."""
     if path.suffix.lower() == ".img":
         for suffix in (".LBL", ".lbl", ".Lbl"):
@@ -88,7 +88,7 @@ def label_of(path: Path) -> Path:
     return path
 
 
-def file_units(path: Path, stated: str, section: str) -> Units:
+def read_units(path: Path, stated: str, section: str) -> Units:
     """Units that a file states, metres when it states none. Raises DataError for foreign ones.
 
     section  where other ones could be set
@@ -105,7 +105,7 @@ def file_units(path: Path, stated: str, section: str) -> Units:
     )
 
 
-def crs_of(text: str) -> Any:
+def parse_crs(text: str) -> Any:
     """The coordinate system that a text states: a code, WKT or a PROJ string.
 
     GDAL would also take the name of a file or a server. Raises ValueError.
@@ -116,7 +116,7 @@ def crs_of(text: str) -> Any:
     return rasterio.CRS.from_user_input(stated)
 
 
-def place_of(
+def read_georeference(
     path: Path,
     crs_override: str | None,
     longitude: str | None,
@@ -131,7 +131,7 @@ def place_of(
     """
     longitude = longitude or read_map_label(path, dataset).longitude
     try:
-        crs = crs_of(crs_override) if crs_override is not None else dataset.crs
+        crs = parse_crs(crs_override) if crs_override is not None else dataset.crs
     except (RasterioError, ValueError) as error:
         raise DataError(f"{path}: crs = '{crs_override}' is not known to PROJ ({error})") from None
     if not crs:
@@ -148,8 +148,8 @@ def place_of(
     try:
         if _GRIDS.search(crs.to_wkt()):
             raise ValueError("it names a file of grid shifts")
-        wkt, affine, sign = eastward(crs.to_wkt(), affine, longitude == "west")
-        placed = georeference(wkt, affine, dataset.shape, sign, body.radius_m)
+        wkt, affine, sign = orient_eastward(crs.to_wkt(), affine, longitude == "west")
+        placed = make_georeference(wkt, affine, dataset.shape, sign, body.radius_m)
         semi_major, semi_minor = placed.ellipsoid_m
     except (RasterioError, ProjError, ValueError) as error:
         raise DataError(
@@ -180,12 +180,12 @@ def place_of(
             f"{path}: its coordinate system is on a flattened ellipsoid, of {semi_major:.10g} and "
             f"{semi_minor:.10g} m, whose latitudes are geodetic; heights of {body.name} count from "
             f"a sphere of {body.radius_m:.10g} m and latitudes from its centre: convert both with "
-            f"PROJ (gdalwarp by itself leaves them as they are): {_to_sphere(placed, body)}"
+            f"PROJ (gdalwarp by itself leaves them as they are): {_describe_pipeline(placed, body)}"
         )
     return placed
 
 
-def _to_sphere(place: Georeference, body: Body) -> str:
+def _describe_pipeline(place: Georeference, body: Body) -> str:
     """The PROJ pipeline from degrees and heights on an ellipsoid to those on the body's sphere.
 
     Through x, y, z, so that no approximation is in it.
@@ -202,8 +202,8 @@ def _to_sphere(place: Georeference, body: Body) -> str:
 class Conversion(NamedTuple):
     """Raw counts to metres above the reference sphere: count * scale_m + offset_m.
 
-    first_nodata, last_nodata  counts from the one to the other are no data (`nodata_range`), NaN
-                               for none
+    first_nodata, last_nodata  counts from the one to the other are no data, NaN for none; see
+                               `find_nodata_range`
     """
 
     scale_m: float
@@ -229,7 +229,7 @@ class Conversion(NamedTuple):
 HEIGHTS = Conversion(1.0, 0.0, math.nan, math.nan)
 
 
-def nodata_range(nodata: float | None, dtype: str) -> tuple[float, float]:
+def find_nodata_range(nodata: float | None, dtype: str) -> tuple[float, float]:
     """Lowest and highest count that a no-data value means; NaN twice for none.
 
     A float file's no-data value may have lost digits on its way through text. One that is no

@@ -67,7 +67,7 @@ class Georeference:
         """Whether the last column's eastern neighbour is the first column."""
         return self.period > 0.0 and abs(self.period - self.shape[1]) <= WRAP_TOLERANCE
 
-    def reaches_pole(self, row_edge: float, tolerance: float) -> int:
+    def find_pole(self, row_edge: float, tolerance: float) -> int:
         """+1, -1 or 0: the pole that lies on the raster's edge at a row (a half-integer)."""
         if not self.wraps or self.shape[1] % 2:
             return 0
@@ -98,15 +98,13 @@ class Georeference:
         """
         lat, lon = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (lat, lon)))
         if self.kind == OTHER:
-            return self._pixel_through_proj(lat, lon)
+            return self._project_by_proj(lat, lon)
         col, row = np.empty(lat.size), np.empty(lat.size)
         flat = np.ascontiguousarray(lat).ravel(), np.ascontiguousarray(lon).ravel()
-        _pixels(self.kind, np.array(self.parameters), self.longitude_sign, *flat, col, row)
+        _compute_pixels(self.kind, np.array(self.parameters), self.longitude_sign, *flat, col, row)
         return col.reshape(lat.shape), row.reshape(lat.shape)
 
-    def _pixel_through_proj(
-        self, lat: FloatArray, lon: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def _project_by_proj(self, lat: FloatArray, lon: FloatArray) -> tuple[FloatArray, FloatArray]:
         forward, _ = self._transformers
         x, y = forward.transform(np.degrees(lon) * self.longitude_sign, np.degrees(lat))
         # PROJ gives infinities for points that the projection cannot show
@@ -136,7 +134,7 @@ class Georeference:
         return np.asarray(ratio / np.maximum(np.cos(lat), 1e-9))
 
 
-def column_spans(
+def iterate_column_spans(
     col0: int, width: int, cols: int, wraps: bool, tile: int | None = None
 ) -> Iterator[tuple[int, int, int]]:
     """The parts of a window's columns that a raster of `cols` columns has.
@@ -162,7 +160,7 @@ def column_spans(
         at += count
 
 
-def georeference(
+def make_georeference(
     wkt: str, affine: Steps, shape: tuple[int, int], longitude_sign: float, radius_m: float
 ) -> Georeference:
     """The georeference of a raster: closed form where one fits, PROJ otherwise.
@@ -172,7 +170,7 @@ def georeference(
     Raises ValueError for a CRS without a geographic base.
     """
     crs = pyproj.CRS.from_wkt(wkt)
-    form = _closed_form(crs, affine)
+    form = _find_closed_form(crs, affine)
     kind, parameters = form if form is not None else (OTHER, ())
     if kind == CYLINDRICAL:
         column_angle, row_angle = 1.0 / abs(parameters[1]), 1.0 / abs(parameters[3])
@@ -181,21 +179,21 @@ def georeference(
         per = 1.0 if crs.is_geographic else radius_m
         column_angle = float(np.hypot(affine[0], affine[3])) * unit / per
         row_angle = float(np.hypot(affine[1], affine[4])) * unit / per
-    turn = _turn_in_x(crs)
+    turn = _measure_turn_in_x(crs)
     made = Georeference(
         wkt, affine, shape, longitude_sign, kind, parameters, row_angle, column_angle, turn
     )
-    if kind != OTHER and not _agrees(made):
-        return georeference_through_proj(made)
+    if kind != OTHER and not _is_in_agreement(made):
+        return make_proj_georeference(made)
     return made
 
 
-def georeference_through_proj(closed: Georeference) -> Georeference:
+def make_proj_georeference(closed: Georeference) -> Georeference:
     """Return the georeference with every point sent through PROJ, which checks closed forms."""
     return replace(closed, kind=OTHER, parameters=())
 
 
-def _turn_in_x(crs: pyproj.CRS) -> float:
+def _measure_turn_in_x(crs: pyproj.CRS) -> float:
     """Measure the x of a full turn of longitude, CRS units; 0 for other than plate carree maps."""
     unit = float(crs.axis_info[0].unit_conversion_factor)
     if crs.is_geographic:
@@ -210,7 +208,7 @@ def _turn_in_x(crs: pyproj.CRS) -> float:
     return float(2.0 * np.pi * ellipsoid.semi_major_metre * np.cos(lat_ts) / unit)
 
 
-def _closed_form(crs: pyproj.CRS, affine: Steps) -> tuple[int, tuple[float, ...]] | None:
+def _find_closed_form(crs: pyproj.CRS, affine: Steps) -> tuple[int, tuple[float, ...]] | None:
     a, b, c, d, e, f = affine
     if b != 0.0 or d != 0.0:
         return None
@@ -236,7 +234,7 @@ def _closed_form(crs: pyproj.CRS, affine: Steps) -> tuple[int, tuple[float, ...]
         numbers = col0, per_rad / a, row0, radius / unit / e, period
         return CYLINDRICAL, tuple(float(number) for number in numbers)
     if "Stereographic" in operation.method_name and a == -e:
-        polar = _polar(values)
+        polar = _read_polar(values)
         if polar is None:
             return None
         sign, lon0, scale = polar
@@ -245,7 +243,7 @@ def _closed_form(crs: pyproj.CRS, affine: Steps) -> tuple[int, tuple[float, ...]
     return None
 
 
-def _polar(values: dict[str, float]) -> tuple[float, float, float] | None:
+def _read_polar(values: dict[str, float]) -> tuple[float, float, float] | None:
     """Pole sign, central longitude and scale at the pole, in any of the ways a CRS states them."""
     if "Latitude of standard parallel" in values:  # variants B and C
         lat = values["Latitude of standard parallel"]
@@ -259,7 +257,7 @@ def _polar(values: dict[str, float]) -> tuple[float, float, float] | None:
     return float(np.sign(lat)), lon0, scale
 
 
-def _agrees(made: Georeference) -> bool:
+def _is_in_agreement(made: Georeference) -> bool:
     """Whether the closed form lands on PROJ's pixels over the raster."""
     rows, cols = made.shape
     row, col = np.meshgrid(np.linspace(0.1, 0.9, 3) * rows, np.linspace(0.1, 0.9, 5) * cols)
@@ -272,7 +270,7 @@ def _agrees(made: Georeference) -> bool:
 
 
 @kernel
-def _pixels(
+def _compute_pixels(
     kind: int,
     p: FloatArray,
     longitude_sign: float,

@@ -69,13 +69,13 @@ def find_shared_end(heights: Float32Array, posting_m: float) -> SharedEnd | None
         shared = signed.size - others.size
         if shared < MIN_SHARED or others.size < MIN_OTHERS:
             continue
-        gap = _gap(end, others, shared, posting_m)
+        gap = _measure_gap(end, others, shared, posting_m)
         if gap is not None:
             return SharedEnd(sign * end, shared / signed.size, gap, sign > 0.0)
     return None
 
 
-def _gap(end: float, others: Float32Array, shared: int, posting_m: float) -> float | None:
+def _measure_gap(end: float, others: Float32Array, shared: int, posting_m: float) -> float | None:
     """Gap between an extreme and all others above it, m; None for one that ground may have."""
     mixed = int(min(MIXED_OF_SHARED * shared, MIXED_OF_OTHERS * others.size))
     top = others.size - 1 - int(MIXED_OF_OTHERS * others.size)

@@ -70,26 +70,30 @@ def read_map_label(path: Path, dataset: Any) -> MapLabel:
     """
     dtype = str(dataset.dtypes[0])
     if dataset.driver in DOMAINS:
-        stated = dict(_flat("", _metadata(dataset, DOMAINS[dataset.driver])))
+        stated = dict(_flatten("", _read_metadata(dataset, DOMAINS[dataset.driver])))
     elif dataset.driver == "PDS4":
-        stated = _elements(path)
+        stated = _read_elements(path)
     else:
         special = ISIS.get(dtype) if dataset.driver == "ISIS2" else None
         return MapLabel(special=special, nodata=dataset.nodata)
-    texts = [(name, _plain(text)) for name, (text, _) in stated.items()]
+    texts = [(name, _normalise_text(text)) for name, (text, _) in stated.items()]
     remarks = check_keywords(path, texts, KEYWORDS)
-    names = "Mapping.LongitudeDirection", *_maps("POSITIVE_LONGITUDE_DIRECTION")
-    direction = _first(stated, *names)[0].strip("'\" ").upper().removeprefix("POSITIVE")
+    names = "Mapping.LongitudeDirection", *_list_map_keywords("POSITIVE_LONGITUDE_DIRECTION")
+    direction = _find_first(stated, *names)[0].strip("'\" ").upper().removeprefix("POSITIVE")
     known: dict[str, Literal["east", "west"]] = {"EAST": "east", "WEST": "west"}
     label = MapLabel(
         known.get(direction),
-        _axes(stated),
-        _first(stated, "IMAGE.UNIT")[0],
-        *_special(path, stated, dtype, dataset),
+        _read_axes(stated),
+        _find_first(stated, "IMAGE.UNIT")[0],
+        *_read_special_values(path, stated, dtype, dataset),
         tuple(remarks),
     )
-    names = "Mapping.LatitudeType", "Geodetic_Model.latitude_type", *_maps("COORDINATE_SYSTEM_NAME")
-    kind = _first(stated, *names)[0]
+    names = (
+        "Mapping.LatitudeType",
+        "Geodetic_Model.latitude_type",
+        *_list_map_keywords("COORDINATE_SYSTEM_NAME"),
+    )
+    kind = _find_first(stated, *names)[0]
     if label.is_flattened and "GRAPHIC" in kind.upper():
         equatorial, polar = label.axes_m
         raise DataError(
@@ -100,16 +104,16 @@ def read_map_label(path: Path, dataset: Any) -> MapLabel:
     return label
 
 
-def _maps(name: str) -> list[str]:
+def _list_map_keywords(name: str) -> list[str]:
     return [f"{group}.{name}" for group in PDS3_MAPS]
 
 
-def _first(stated: Stated, *names: str) -> tuple[str, str]:
+def _find_first(stated: Stated, *names: str) -> tuple[str, str]:
     """Value and unit of the first keyword that is stated; empty for none."""
     return next((stated[name] for name in names if name in stated), ("", ""))
 
 
-def _plain(text: str) -> str:
+def _normalise_text(text: str) -> str:
     """A number as short as it can be written, other text without its quotes."""
     try:
         return f"{float(text):.10g}"
@@ -117,7 +121,7 @@ def _plain(text: str) -> str:
         return text.strip("'\" ")
 
 
-def _metadata(dataset: Any, domain: str) -> Any:
+def _read_metadata(dataset: Any, domain: str) -> Any:
     """The label as GDAL has it in JSON; rasterio cuts the text in two at its first colon."""
     for start, end in dataset.tags(ns=domain).items():
         try:
@@ -127,7 +131,7 @@ def _metadata(dataset: Any, domain: str) -> Any:
     return {}
 
 
-def _flat(group: str, value: Any) -> Iterator[tuple[str, tuple[str, str]]]:
+def _flatten(group: str, value: Any) -> Iterator[tuple[str, tuple[str, str]]]:
     """Keywords by the group that they stand in; of repeated ones the last counts."""
     if not isinstance(value, dict):
         return
@@ -135,12 +139,12 @@ def _flat(group: str, value: Any) -> Iterator[tuple[str, tuple[str, str]]]:
         if isinstance(inner, dict) and "value" in inner:
             yield f"{group}.{name}", (str(inner["value"]).strip(), str(inner.get("unit", "")))
         elif isinstance(inner, dict):
-            yield from _flat(name, inner)
+            yield from _flatten(name, inner)
         elif isinstance(inner, str | int | float):
             yield f"{group}.{name}", (str(inner).strip(), "")
 
 
-def _elements(path: Path) -> Stated:
+def _read_elements(path: Path) -> Stated:
     """Elements of a PDS4 label by the one that holds them; the first of a name counts."""
     raw = read_input(path, "label", "get it again", limit=MAX_LABEL)
     if b"<!DOCTYPE" in raw or b"<!ENTITY" in raw:
@@ -157,18 +161,23 @@ def _elements(path: Path) -> Stated:
     return stated
 
 
-def _axes(stated: Stated) -> tuple[float, float]:
+def _read_axes(stated: Stated) -> tuple[float, float]:
     """Equatorial and polar radius, m; two of a unit sphere where they are not stated."""
     pairs = (
         ("Mapping.EquatorialRadius", "Mapping.PolarRadius", 1.0),
-        *((a, c, PDS3_KM) for a, c in zip(_maps("A_AXIS_RADIUS"), _maps("C_AXIS_RADIUS"))),
+        *(
+            (a, c, PDS3_KM)
+            for a, c in zip(
+                _list_map_keywords("A_AXIS_RADIUS"), _list_map_keywords("C_AXIS_RADIUS")
+            )
+        ),
         ("Geodetic_Model.a_axis_radius", "Geodetic_Model.c_axis_radius", PDS3_KM),
         ("Geodetic_Model.semi_major_radius", "Geodetic_Model.polar_radius", PDS3_KM),
     )
     for first, last, unstated_m in pairs:
         numbers = []
         for name in (first, last):
-            text, unit = _first(stated, name)
+            text, unit = _find_first(stated, name)
             try:
                 numbers.append(float(text) * _METRES.get(unit.strip("<> ").lower(), unstated_m))
             except ValueError:
@@ -178,7 +187,7 @@ def _axes(stated: Stated) -> tuple[float, float]:
     return 1.0, 1.0
 
 
-def _special(
+def _read_special_values(
     path: Path, stated: Stated, dtype: str, dataset: Any
 ) -> tuple[SpecialValues | None, float | None]:
     """Special values of the type and those that the label names, and GDAL's no-data value.
@@ -192,7 +201,8 @@ def _special(
             number
             for name in names
             for where in (f"IMAGE.{name}", f"Special_Constants.{name.lower()}")
-            if (number := _number(path, where, _first(stated, where)[0], dtype)) is not None
+            if (number := _parse_number(path, where, _find_first(stated, where)[0], dtype))
+            is not None
         ]
 
     named = numbers(*MISSING_KEYWORDS)
@@ -210,7 +220,7 @@ def _special(
     return special, None if named else dataset.nodata
 
 
-def _number(path: Path, name: str, text: str, dtype: str) -> float | None:
+def _parse_number(path: Path, name: str, text: str, dtype: str) -> float | None:
     """A stored value. Raises DataError for text that is no number nor says that there is none."""
     shown = text.strip("'\" ")
     if shown.upper() in KEYWORDS["Mapping.Rotation"].allowed[1:]:

@@ -25,8 +25,8 @@ from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.pyramid.level_window import LevelWindows, tile_cache
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 from catalog.terrain.sampling.footprint import sample_level
-from catalog.terrain.sampling.graticule_heights import heights_by_blocks, heights_by_weights
-from catalog.terrain.sampling.map_nodes import Pixels, pixels_of_grid, pixels_of_points
+from catalog.terrain.sampling.graticule_heights import sample_by_blocks, sample_by_weights
+from catalog.terrain.sampling.map_nodes import Pixels, locate_grid, locate_points
 
 
 class Sampled(NamedTuple):
@@ -133,7 +133,7 @@ class Mosaic:
         """False: a raster has one height a place."""
         return False
 
-    def beyond(
+    def make_outer_grids(
         self, projection: MapProjection, posting_m: float, size: int
     ) -> Sequence[tuple[Float32Array, float]]:
         """None: the coarsest patches reach farther than shadows do."""
@@ -145,19 +145,19 @@ class Mosaic:
         lat, lon   (...)  planetocentric latitude, east longitude of any turn
         posting_m  the spacing of the points: what is finer is averaged
         """
-        sampled, shape = self._at(lat, lon, posting_m)
+        sampled, shape = self._sample_points(lat, lon, posting_m)
         return sampled.heights.reshape(shape)
 
     def source_index(self, lat: ArrayLike, lon: ArrayLike) -> Int8Array:
         """Which source (from 0, by priority) counts most at points (rad); -1 for none."""
-        sampled, shape = self._at(lat, lon, self.posting_m)
+        sampled, shape = self._sample_points(lat, lon, self.posting_m)
         return sampled.source.reshape(shape)
 
     def covers(self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None) -> BoolArray:
         """Whether points (rad) have a height; a coarser posting answers from overviews, quicker."""
         if self.covers_body:
             return np.ones(np.broadcast_shapes(np.shape(lat), np.shape(lon)), dtype=bool)
-        sampled, shape = self._at(lat, lon, posting_m or self.posting_m)
+        sampled, shape = self._sample_points(lat, lon, posting_m or self.posting_m)
         return np.asarray(sampled.source.reshape(shape) >= 0)
 
     def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> Float32Array:
@@ -180,11 +180,11 @@ class Mosaic:
             return np.full((part.height, part.width), np.nan, dtype=np.float32)
         pyramid = self.pyramids[meeting[0]]
         if len(meeting) > 1 or pyramid.source.georeference.kind != CYLINDRICAL:
-            return heights_by_blocks(self.heights, graticule, part, posting_m)
-        level = pyramid.level_for(posting_m)
+            return sample_by_blocks(self.heights, graticule, part, posting_m)
+        level = pyramid.choose_level(posting_m)
         rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
-        windows = self.level_windows(meeting[0], level)
-        return heights_by_weights(windows, pyramid, graticule, part, rows_wide)
+        windows = self.get_level_windows(meeting[0], level)
+        return sample_by_weights(windows, pyramid, graticule, part, rows_wide)
 
     def provenance(self, projection: MapProjection, posting_m: float, size: int) -> str:
         """Names of the sources that a centred map grid is read from, joined by " + ".
@@ -204,16 +204,16 @@ class Mosaic:
             raise TypeError("rasters have radial heights: they fill stereographic grids only")
 
         def nodes(place: Georeference) -> Pixels:
-            return pixels_of_grid(place, projection, posting_m, size)
+            return locate_grid(place, projection, posting_m, size)
 
         return self._sample(nodes, size * size, posting_m, size)
 
-    def _at(
+    def _sample_points(
         self, lat: ArrayLike, lon: ArrayLike, posting_m: float
     ) -> tuple[Sampled, tuple[int, ...]]:
         lat, lon = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (lat, lon)))
         flat = np.ascontiguousarray(lat).ravel(), np.ascontiguousarray(lon).ravel()
-        return self._sample(lambda p: pixels_of_points(p, *flat), lat.size, posting_m), lat.shape
+        return self._sample(lambda p: locate_points(p, *flat), lat.size, posting_m), lat.shape
 
     def close(self) -> None:
         """Close files and drop cached tiles."""
@@ -234,16 +234,16 @@ class Mosaic:
             pixels = places(pyramid.source.georeference)
             if layers:
                 pixels = pixels.part(wanted)
-            level = pyramid.level_for(posting_m)
+            level = pyramid.choose_level(posting_m)
             rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
             grid_size = size if not layers or wanted.size == count else 0
-            sampled = sample_level(self.level_windows(i, level), pixels, rows_wide, grid_size)
+            sampled = sample_level(self.get_level_windows(i, level), pixels, rows_wide, grid_size)
             known = ~np.isnan(sampled)
             if len(self.pyramids) == 1:
                 # nothing to compose: the usual case, and it is on the hot path of a build
                 return Sampled(sampled, known.astype(np.int8) - np.int8(1), known[None])
             weight = known.astype(np.float64)
-            feather = self._feather(i)
+            feather = self._get_feather(i)
             if feather is not None and known.any():
                 inside = np.flatnonzero(known)
                 weight[inside] = feather.weights(pixels.part(inside))
@@ -253,9 +253,9 @@ class Mosaic:
             wanted = wanted[weight < 1.0]
             if not wanted.size:
                 break
-        return _composed(layers, count)
+        return _merge_layers(layers, count)
 
-    def _feather(self, i: int) -> Feather | None:
+    def _get_feather(self, i: int) -> Feather | None:
         """The seam of a source; None for a hard edge, one without any and the lowest source."""
         if i not in self._feathers:
             pyramid = self.pyramids[i]
@@ -264,14 +264,16 @@ class Mosaic:
             self._feathers[i] = None if hard or last else Feather(i, pyramid, self._cache)
         return self._feathers[i]
 
-    def level_windows(self, i: int, level: int) -> LevelWindows:
+    def get_level_windows(self, i: int, level: int) -> LevelWindows:
         """One level of a source, by its number."""
         if (i, level) not in self._levels:
             self._levels[i, level] = LevelWindows(i, self.pyramids[i], level, self._cache)
         return self._levels[i, level]
 
 
-def _composed(layers: Sequence[tuple[IntArray, Float32Array, FloatArray]], count: int) -> Sampled:
+def _merge_layers(
+    layers: Sequence[tuple[IntArray, Float32Array, FloatArray]], count: int
+) -> Sampled:
     """One height a point from those of the sources: point numbers, heights, weights, in order."""
     heights = np.full(count, np.nan, dtype=np.float32)
     source = np.full(count, -1, dtype=np.int8)

@@ -26,16 +26,16 @@ from catalog.rasters import TERRAIN, open_raster, reading_raster, reopen_raster
 from catalog.terrain.dem.file import (
     RADIUS_TOLERANCE,
     Conversion,
-    file_units,
-    label_of,
-    nodata_range,
-    path_of,
-    place_of,
+    find_label,
+    find_nodata_range,
+    read_georeference,
+    read_units,
+    resolve_path,
 )
-from catalog.terrain.dem.georeference import Georeference, column_spans
+from catalog.terrain.dem.georeference import Georeference, iterate_column_spans
 from catalog.terrain.dem.height_sample import HeightSample, find_shared_end
 from catalog.terrain.dem.label import MapLabel, read_map_label
-from catalog.terrain.dem.validity import Validity, unused_bands
+from catalog.terrain.dem.validity import Validity, list_unused_bands
 
 log = logging.getLogger(__name__)
 
@@ -125,7 +125,7 @@ class DemSource:
         Raises DataError for a file that is missing, unreadable, without a usable CRS, of another
         body, or with values that cannot be heights; the whole file is read later, when averaged.
         """
-        path = label_of(path_of(settings.path, base_dir))
+        path = find_label(resolve_path(settings.path, base_dir))
         dataset = open_raster(path, TERRAIN, remedy or f"check `path` in {section}")
         try:
             with reading_raster(path):
@@ -154,8 +154,8 @@ class DemSource:
         remedy = f'set `crs` in {section}, for example crs = "IAU_2015:30100"'
         label = read_map_label(path, dataset)
         longitude = settings.longitude or label.longitude
-        georeference = place_of(path, settings.crs, longitude, body, dataset, remedy)
-        units = settings.units or file_units(path, dataset.units[0] or label.unit, section)
+        georeference = read_georeference(path, settings.crs, longitude, body, dataset, remedy)
+        units = settings.units or read_units(path, dataset.units[0] or label.unit, section)
         factor = METRES[units]
         scale = settings.scale if settings.scale is not None else float(dataset.scales[0])
         offset = settings.offset if settings.offset is not None else float(dataset.offsets[0])
@@ -165,9 +165,9 @@ class DemSource:
                 f"{section}"
             )
         nodata = settings.nodata if settings.nodata is not None else label.nodata
-        convert = Conversion(scale * factor, offset * factor, *nodata_range(nodata, dtype))
-        validity = Validity.of(dataset, special=label.special)
-        for remark in (*unused_bands(dataset, 1, "heights"), *label.remarks):
+        convert = Conversion(scale * factor, offset * factor, *find_nodata_range(nodata, dtype))
+        validity = Validity.read(dataset, special=label.special)
+        for remark in (*list_unused_bands(dataset, 1, "heights"), *label.remarks):
             report_once(path, remark)
         block = tuple(dataset.block_shapes[0])
         source = cls(
@@ -184,12 +184,12 @@ class DemSource:
             validity,
             dataset,
         )
-        source._settle_radius(source._probe(), offset_given=offset * factor)
+        source._settle_radius(source._read_probe(), offset_given=offset * factor)
         if source.heights == "height" and settings.offset is None:
             source._settle_datum(label)
         return source
 
-    def _probe(self) -> FloatArray:
+    def _read_probe(self) -> FloatArray:
         """Values of a few small windows spread over the raster, m, without no-data."""
         rows, cols = self.shape
         height, width = min(PROBE_SIZE, rows), min(PROBE_SIZE, cols)
@@ -299,7 +299,7 @@ class DemSource:
         top, bottom = max(row0, 0), min(row0 + height, rows)
         if bottom <= top:
             return out
-        for at, col, count in column_spans(col0, width, cols, self.wraps):
+        for at, col, count in iterate_column_spans(col0, width, cols, self.wraps):
             raw = self.read_raw(top, col, bottom - top, count)
             out[top - row0 : bottom - row0, at : at + count] = self.convert(raw)
         return out
@@ -343,7 +343,7 @@ class DemSource:
         """
         window = Window(col, row, width, height)
         with self._reading(f"rows {row}-{row + height - 1} ") as dataset:
-            return self.validity.marked(dataset, dataset.read(1, window=window), 1, window)
+            return self.validity.mark_missing(dataset, dataset.read(1, window=window), 1, window)
 
     @contextmanager
     def _reading(self, what: str = "") -> Iterator[Any]:

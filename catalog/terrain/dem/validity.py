@@ -35,7 +35,7 @@ class Validity:
     special: SpecialValues | None = None
 
     @classmethod
-    def of(cls, dataset: Any, band: int = 1, special: SpecialValues | None = None) -> "Validity":
+    def read(cls, dataset: Any, band: int = 1, special: SpecialValues | None = None) -> "Validity":
         """Find the mask of a band of an open dataset."""
         flags = set(dataset.mask_flag_enums[band - 1])
         plain = {MaskFlags.all_valid}, {MaskFlags.nodata}
@@ -67,10 +67,12 @@ class Validity:
         return marked
 
     def stored_type(self, dtype: str) -> str:
-        """Type of what `marked` returns: one with NaN for a file with a mask."""
+        """Type of what `mark_missing` returns: one with NaN for a file with a mask."""
         return dtype if self.is_plain else str(np.result_type(dtype, np.float32))
 
-    def marked(self, dataset: Any, stored: NDArray[Any], band: int, window: Window) -> NDArray[Any]:
+    def mark_missing(
+        self, dataset: Any, stored: NDArray[Any], band: int, window: Window
+    ) -> NDArray[Any]:
         """Stored values with NaN where there is none; unchanged for a file without a mask."""
         if self.is_plain:
             return stored
@@ -79,7 +81,7 @@ class Validity:
         return out
 
 
-def unused_bands(dataset: Any, used: int, purpose: str) -> list[str]:
+def list_unused_bands(dataset: Any, used: int, purpose: str) -> list[str]:
     """Name the bands after the first `used` that are neither read nor a mask, in one remark.
 
     purpose  of the bands that are read, in the plural

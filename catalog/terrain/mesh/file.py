@@ -23,7 +23,7 @@ from catalog.arrays import FloatArray, IntArray
 from catalog.errors import DataError
 from catalog.inputs import check_input
 from catalog.progress import Progress
-from catalog.terrain.mesh.table import read_table, vertex_face_lines
+from catalog.terrain.mesh.table import is_vertex_face_table, read_table
 
 # 275 bytes a face while an OBJ is read, 500 while a mesh is checked (measured: 5 GB and 2 minutes
 # for 10 million); Phobos' finest published model has 3.1 million.
@@ -82,8 +82,8 @@ def read_mesh(path: Path, longitude: str, progress: Progress) -> RawMesh:
             f'{path}: has vertices, no longitudes; take longitude = "west" out of its [[mesh]] '
             "section"
         )
-    with _reported(path):
-        if kind in TABLES and vertex_face_lines(path):
+    with _report_errors(path):
+        if kind in TABLES and is_vertex_face_table(path):
             kind = ".obj"  # "v x y z" and "f i j k", as many tables of plates are written
         faces = count_faces(path, progress, kind)
         if faces is not None and faces > MAX_FACES:
@@ -111,7 +111,7 @@ def read_mesh(path: Path, longitude: str, progress: Progress) -> RawMesh:
 
 
 @contextmanager
-def _reported(path: Path) -> Iterator[None]:
+def _report_errors(path: Path) -> Iterator[None]:
     """Turn what readers of damaged files raise into an error that names the file."""
     try:
         yield
@@ -156,7 +156,10 @@ class _NoOtherFiles(trimesh.resolvers.Resolver):
 def _load(path: Path, kind: str) -> RawMesh:
     # names of materials in an OBJ are in any encoding; its numbers are ASCII
     file: IO[Any]
-    with _quiet(), path.open(encoding="latin-1") if kind == ".obj" else path.open("rb") as file:
+    with (
+        _keep_quiet(),
+        path.open(encoding="latin-1") if kind == ".obj" else path.open("rb") as file,
+    ):
         # unprocessed: what is mended is mended by us, and named
         loaded: Any = trimesh.load(
             file,
@@ -175,7 +178,7 @@ def _load(path: Path, kind: str) -> RawMesh:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _keep_quiet() -> Iterator[None]:
     """Keep back what libraries print of a damaged file, before they raise it."""
     talk = logging.getLogger("trimesh")
     level = talk.level
@@ -197,9 +200,9 @@ def count_faces(path: Path, progress: Progress, kind: str = "") -> int | None:
     kind, size = kind or path.suffix.lower(), path.stat().st_size
     with path.open("rb") as file:
         if kind == ".ply":
-            return _ply_faces(file.read(65536), size)
+            return _count_ply_faces(file.read(65536), size)
         if kind == ".glb":
-            return _glb_faces(file, size)
+            return _count_glb_faces(file, size)
         if kind == ".stl":
             head = file.read(84)
             count = struct.unpack_from("<I", head, 80)[0] if len(head) == 84 else 0
@@ -210,15 +213,15 @@ def count_faces(path: Path, progress: Progress, kind: str = "") -> int | None:
         with progress.stage("count faces", total=-(-size // MEGABYTE), unit="MB") as shown:
             while block := file.read(MEGABYTE):
                 full_lines, _, tail = (tail + block).rpartition(b"\n")
-                counts += _counted(full_lines, kind)
+                counts += _count_elements(full_lines, kind)
                 shown.advance()
-        counts += _counted(tail, kind)
+        counts += _count_elements(tail, kind)
     if counts["vertices"] > MAX_VERTICES:
         raise ValueError(f"{counts['vertices']:,} vertices; wanted up to {MAX_VERTICES:,}")
     return counts["faces"]
 
 
-def _counted(lines: bytes, kind: str) -> Counter[str]:
+def _count_elements(lines: bytes, kind: str) -> Counter[str]:
     """Faces and vertices of a part of a text file."""
     if kind == ".stl":
         return Counter(faces=len(_FACET_LINE.findall(lines)))
@@ -231,7 +234,7 @@ def _counted(lines: bytes, kind: str) -> Counter[str]:
     return Counter(faces=faces, vertices=vertices)
 
 
-def _ply_faces(head: bytes, size: int) -> int | None:
+def _count_ply_faces(head: bytes, size: int) -> int | None:
     """Faces that a PLY's header states; each element takes a byte at least."""
     stated = {name: int(count) for name, count in re.findall(rb"element (\w+) (\d{1,20})", head)}
     if stated.get(b"face", 0) <= MAX_FACES and sum(stated.values()) > size:
@@ -239,7 +242,7 @@ def _ply_faces(head: bytes, size: int) -> int | None:
     return stated.get(b"face")
 
 
-def _glb_faces(file: BinaryIO, size: int) -> int | None:
+def _count_glb_faces(file: BinaryIO, size: int) -> int | None:
     """Faces of a GLB's scene, each as often as it is placed there."""
     magic, _, _, length, kind = struct.unpack("<4sIII4s", file.read(20))
     if magic != b"glTF" or kind != b"JSON" or length > size:

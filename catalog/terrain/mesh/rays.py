@@ -25,7 +25,7 @@ BATCH = 1 << 18  # rays at once: 32-bit copies of 6 MB
 
 
 @kernel
-def outward(corners: FloatArray, face: int) -> tuple[float, float, float]:
+def compute_outward_normal(corners: FloatArray, face: int) -> tuple[float, float, float]:
     """The outward normal of a face, twice its area long."""
     a, b, c = corners[face, 0], corners[face, 1], corners[face, 2]
     u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -34,7 +34,7 @@ def outward(corners: FloatArray, face: int) -> tuple[float, float, float]:
 
 
 @kernel
-def _places(
+def _measure_hits(
     corners: FloatArray,
     origins: FloatArray,
     rays: FloatArray,
@@ -48,7 +48,7 @@ def _places(
         if found[n] < 0:
             continue
         a = corners[found[n], 0]
-        x, y, z = outward(corners, found[n])
+        x, y, z = compute_outward_normal(corners, found[n])
         across = rays[n, 0] * x + rays[n, 1] * y + rays[n, 2] * z
         over = (a[0] - origins[n, 0]) * x + (a[1] - origins[n, 1]) * y + (a[2] - origins[n, 2]) * z
         distance[n] = over / across
@@ -56,7 +56,7 @@ def _places(
 
 
 @kernel
-def first_of_all(
+def intersect_all(
     corners: FloatArray, origin: FloatArray, ray: FloatArray, nearest: float
 ) -> tuple[int, float]:
     """First triangle of all (m, 3, 3) that a ray meets beyond a distance, and where; -1 for none.
@@ -99,7 +99,9 @@ class MeshRays:
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_scene"}
 
-    def first_hits(self, origins_m: ArrayLike, rays: ArrayLike) -> tuple[Int32Array, FloatArray]:
+    def find_first_hits(
+        self, origins_m: ArrayLike, rays: ArrayLike
+    ) -> tuple[Int32Array, FloatArray]:
         """First faces that unit rays (n, 3) from outside meet (-1: none), and distances (n) m.
 
         origins_m  (n, 3) or (3,), body frame; distances are infinite where nothing is met
@@ -108,11 +110,11 @@ class MeshRays:
         origins, rays = (np.ascontiguousarray(v) for v in both)
         hit_faces = np.empty(len(rays), np.int32)
         distance, cosine = np.empty(len(rays)), np.empty(len(rays))
-        for part in _parts(len(rays)):
-            start, ahead = self._starts(origins[part], rays[part])
+        for part in _split_batches(len(rays)):
+            start, ahead = self._move_to_ball(origins[part], rays[part])
             hit_faces[part] = self._run(start, rays[part], "INTERSECT")
             hit_faces[part][ahead] = -1
-        _places(self.corners, origins, rays, hit_faces, distance, cosine)
+        _measure_hits(self.corners, origins, rays, hit_faces, distance, cosine)
         # rays that met a face from within are traced once more, a hair aside
         for sign in (1.0, -1.0):
             inner = np.flatnonzero(cosine > 0.0)
@@ -120,43 +122,43 @@ class MeshRays:
                 break
             aside = np.cross(rays[inner], np.roll(rays[inner], 1, axis=1) + [0.3, 0.5, 0.7])
             aside *= sign * ASIDE * self.reach_m / np.linalg.norm(aside, axis=1)[:, None]
-            start, ahead = self._starts(origins[inner] + aside, rays[inner])
+            start, ahead = self._move_to_ball(origins[inner] + aside, rays[inner])
             again = self._run(start, rays[inner], "INTERSECT")
             again[ahead] = -1
             at, side = np.empty(inner.size), np.empty(inner.size)
-            _places(self.corners, origins[inner], rays[inner], again, at, side)
+            _measure_hits(self.corners, origins[inner], rays[inner], again, at, side)
             hit_faces[inner], distance[inner], cosine[inner] = again, at, side
         for n in np.flatnonzero(cosine > 0.0):
-            hit_faces[n], distance[n] = first_of_all(self.corners, origins[n], rays[n], 0.0)
+            hit_faces[n], distance[n] = intersect_all(self.corners, origins[n], rays[n], 0.0)
         return hit_faces, distance
 
-    def next_hits(
+    def find_next_hits(
         self, origins_m: FloatArray, rays: FloatArray, beyond_m: FloatArray
     ) -> tuple[Int32Array, FloatArray]:
-        """Find hits from either side, beyond distances (n) m along the rays; see `first_hits`."""
+        """Find hits from either side beyond distances (n) m along rays; see `find_first_hits`."""
         faces = self._run(origins_m + beyond_m[:, None] * rays, rays, "INTERSECT")
         distance, cosine = np.empty(len(rays)), np.empty(len(rays))
-        _places(self.corners, origins_m, rays, faces, distance, cosine)
+        _measure_hits(self.corners, origins_m, rays, faces, distance, cosine)
         return faces, distance
 
-    def on_segments(
+    def intersect_segments(
         self, origins_m: FloatArray, rays: FloatArray, lengths_m: FloatArray
     ) -> tuple[Int32Array, FloatArray]:
         """Faces that segments (n) meet, from either side (-1: none), and distances in 64 bits."""
         faces = self._run(origins_m, rays, "INTERSECT", lengths_m)
         distance, cosine = np.empty(len(rays)), np.empty(len(rays))
-        _places(self.corners, origins_m, rays, faces, distance, cosine)
+        _measure_hits(self.corners, origins_m, rays, faces, distance, cosine)
         return faces, distance
 
     def are_blocked(self, origins_m: FloatArray, ray: FloatArray) -> BoolArray:
         """Whether the mesh stands between origins (n, 3) m and the far end of one unit ray (3,)."""
         blocked = np.empty(len(origins_m), dtype=bool)
-        for part in _parts(len(origins_m)):
+        for part in _split_batches(len(origins_m)):
             rays = np.broadcast_to(ray, origins_m[part].shape)
             blocked[part] = self._run(origins_m[part], rays, "OCCLUDED") >= 0
         return blocked
 
-    def _starts(self, origins: FloatArray, rays: FloatArray) -> tuple[FloatArray, Any]:
+    def _move_to_ball(self, origins: FloatArray, rays: FloatArray) -> tuple[FloatArray, Any]:
         """Origins moved ahead to the ball about the mesh, and which rays do not meet it."""
         ball = START * self.reach_m
         along = np.einsum("ij,ij->i", origins, rays)
@@ -191,5 +193,5 @@ class MeshRays:
         return scene
 
 
-def _parts(count: int) -> list[slice]:
+def _split_batches(count: int) -> list[slice]:
     return [slice(first, first + BATCH) for first in range(0, count, BATCH)]

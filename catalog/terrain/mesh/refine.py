@@ -6,8 +6,8 @@ a grid are interpolated by bicubic splines over latitude and longitude, other me
 butterfly scheme (Zorin, Schroeder, Sweldens, "Interpolating subdivision for meshes with arbitrary
 topology", SIGGRAPH 1996). Both keep the model's vertices.
 
-`refined` and `roughened` make the ground of simulations, which a catalog of the model does not
-have. Each halving puts a vertex on every edge, on the cubic that has the edge's ends and stands
+`refine_shape` and `add_detail` make the ground of simulations, which a catalog of the model does
+not have. Each halving puts a vertex on every edge, on the cubic that has the edge's ends and stands
 square on their normals (PN triangles: Vlachos et al., I3D 2001), so the ground is round where the
 model is flat and goes through all of the model's vertices. Seeded relief is then added along the
 normals: craters and random relief below the model's posting.
@@ -23,8 +23,8 @@ from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.vectors import unit
 from catalog.terrain.mesh.shape import Shape
-from catalog.terrain.mesh.table import RadiiGrid, is_grid, read_grid, surface_of
-from catalog.terrain.mesh.winding import edges_of
+from catalog.terrain.mesh.table import RadiiGrid, is_grid, make_surface, read_grid
+from catalog.terrain.mesh.winding import find_edges
 from catalog.terrain.synthetic.relief import SyntheticRelief
 
 # Rows that a spline is carried on over a pole: what lies beyond changes it by less than 1e-3.
@@ -44,14 +44,14 @@ def smooth_corners(
     vertices, faces  (n, 3) m and (k, 3): the closed surface that was made of it
     """
     if path.suffix.lower() in (".tab", ".txt") and is_grid(path):
-        vertices, faces = surface_of(finer_grid(read_grid(path), 2**halvings), longitude)
+        vertices, faces = make_surface(refine_grid(read_grid(path), 2**halvings), longitude)
         return metres * vertices[faces]
     for _ in range(halvings):
-        vertices, faces = butterfly(vertices, faces)
+        vertices, faces = split_by_butterfly(vertices, faces)
     return vertices[faces]
 
 
-def finer_grid(grid: RadiiGrid, times: int) -> RadiiGrid:
+def refine_grid(grid: RadiiGrid, times: int) -> RadiiGrid:
     """Radii at so many times as many latitudes and longitudes, from a bicubic spline.
 
     Where the two ends of a parallel differ, their mean is taken for both.
@@ -71,19 +71,22 @@ def finer_grid(grid: RadiiGrid, times: int) -> RadiiGrid:
     west, east = slice(-1 - cols, -1), slice(1, 1 + cols)
     lons = np.concatenate([grid.lons[west] - 360.0, grid.lons, grid.lons[east] + 360.0])
     radii = np.concatenate([radii[:, west], radii, radii[:, east]], axis=1)
-    fine_lats, fine_lons = _between(grid.lats, times), _between(grid.lons, times)
+    fine_lats, fine_lons = (
+        _interpolate_between(grid.lats, times),
+        _interpolate_between(grid.lons, times),
+    )
     fine = RectBivariateSpline(lats, lons, radii)(fine_lats, fine_lons)
     fine[:, -1] = fine[:, 0]
     fine[[0, -1]] = grid.radii[[0, -1], :-1].mean(axis=1, keepdims=True)
     return RadiiGrid(fine_lats, fine_lons, fine)
 
 
-def butterfly(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
+def split_by_butterfly(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
     """Four faces for each of a closed mesh; vertices stay, new ones follow.
 
     vertices (n, 3); faces (m, 3), counter-clockwise from outside
     """
-    edges = edges_of(faces)
+    edges = find_edges(faces)
     sides = np.arange(edges.other.size)
     first_side = sides < edges.other
     number = np.empty(sides.size, np.int64)
@@ -91,7 +94,7 @@ def butterfly(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArr
     number[edges.other[first_side]] = number[first_side]
     start = np.ascontiguousarray(faces.ravel())
     count = np.bincount(start, minlength=len(vertices))
-    middles = _middles(vertices, start, edges.other, count, sides[first_side])
+    middles = _place_middles(vertices, start, edges.other, count, sides[first_side])
     a, b, c = faces.T
     ab, bc, ca = number.reshape(-1, 3).T
     four = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
@@ -99,24 +102,24 @@ def butterfly(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArr
     return np.concatenate([vertices, middles]), finer.reshape(-1, 3)
 
 
-def _between(values: FloatArray, times: int) -> FloatArray:
+def _interpolate_between(values: FloatArray, times: int) -> FloatArray:
     """Values and those that cut each step between them into `times`."""
     count = values.size - 1
     return np.interp(np.arange(count * times + 1) / times, np.arange(count + 1), values)
 
 
 @kernel
-def _next(side: int) -> int:
+def _get_next(side: int) -> int:
     return side - 2 if side % 3 == 2 else side + 1
 
 
 @kernel
-def _last(side: int) -> int:
+def _get_last(side: int) -> int:
     return side + 2 if side % 3 == 0 else side - 1
 
 
 @kernel
-def _about(
+def _add_ring(
     vertices: FloatArray, start: IntArray, other: IntArray, side: int, count: int, out: FloatArray
 ) -> None:
     """Add the place that the ring about a side's first vertex gives its middle."""
@@ -130,22 +133,22 @@ def _about(
         else:
             turn = 2.0 * np.pi * j / count
             weight = (0.25 + np.cos(turn) + 0.5 * np.cos(2.0 * turn)) / count
-        out += weight * vertices[start[_next(at)]]
-        at = other[_last(at)]
+        out += weight * vertices[start[_get_next(at)]]
+        at = other[_get_last(at)]
 
 
 @kernel
-def _height(vertices: FloatArray, start: IntArray, side: int) -> float:
+def _measure_height(vertices: FloatArray, start: IntArray, side: int) -> float:
     """Least height of the face of a side: twice its area over its longest edge."""
-    a, b = vertices[start[side]], vertices[start[_next(side)]]
-    c = vertices[start[_last(side)]]
+    a, b = vertices[start[side]], vertices[start[_get_next(side)]]
+    c = vertices[start[_get_last(side)]]
     u, v, w = b - a, c - a, c - b
     twice = np.sqrt(max((u * u).sum() * (v * v).sum() - (u * v).sum() ** 2, 0.0))
     return float(twice / np.sqrt(max((u * u).sum(), (v * v).sum(), (w * w).sum())))
 
 
 @kernel
-def _middles(
+def _place_middles(
     vertices: FloatArray, start: IntArray, other: IntArray, counts: IntArray, sides: IntArray
 ) -> FloatArray:
     """New vertices (n, 3), one for each edge, given by one of its sides."""
@@ -156,43 +159,45 @@ def _middles(
         first, second = counts[start[side]], counts[start[across]]
         if first == 6 and second == 6:
             for at in (side, across):
-                out[n] += 0.5 * vertices[start[at]] + 0.125 * vertices[start[_last(at)]]
-                for wing in (_next(at), _last(at)):
-                    out[n] -= 0.0625 * vertices[start[_last(other[wing])]]
+                out[n] += 0.5 * vertices[start[at]] + 0.125 * vertices[start[_get_last(at)]]
+                for wing in (_get_next(at), _get_last(at)):
+                    out[n] -= 0.0625 * vertices[start[_get_last(other[wing])]]
         elif first != 6 and second != 6:
-            _about(vertices, start, other, side, first, out[n])
-            _about(vertices, start, other, across, second, out[n])
+            _add_ring(vertices, start, other, side, first, out[n])
+            _add_ring(vertices, start, other, across, second, out[n])
             out[n] *= 0.5
         elif first != 6:
-            _about(vertices, start, other, side, first, out[n])
+            _add_ring(vertices, start, other, side, first, out[n])
         else:
-            _about(vertices, start, other, across, second, out[n])
+            _add_ring(vertices, start, other, across, second, out[n])
         plain = 0.5 * (vertices[start[side]] + vertices[start[across]])
         bulge = out[n] - plain
-        most = MAX_BULGE * min(_height(vertices, start, side), _height(vertices, start, across))
+        most = MAX_BULGE * min(
+            _measure_height(vertices, start, side), _measure_height(vertices, start, across)
+        )
         size = np.sqrt((bulge * bulge).sum())
         if size > most:
             out[n] = plain + bulge * (most / size)
     return out
 
 
-def refined(shape: Shape, halvings: int) -> Shape:
+def refine_shape(shape: Shape, halvings: int) -> Shape:
     """The shape with each edge cut in two `halvings` times: 4^halvings faces for one."""
     vertices, faces = shape.vertices, shape.faces
     for _ in range(halvings):
-        vertices, faces = _halved(vertices, faces)
+        vertices, faces = _split_edges(vertices, faces)
     return Shape(vertices, faces)
 
 
-def roughened(shape: Shape, detail: SyntheticRelief) -> Shape:
+def add_detail(shape: Shape, detail: SyntheticRelief) -> Shape:
     """The shape with a detail's heights added along its normals, read by the vertices' places."""
     lat, lon, _ = latlon_from_xyz(shape.vertices)
     heights = detail.heights(lat, lon)
-    moved = shape.vertices + heights[:, None] * _normals(shape.vertices, shape.faces)
+    moved = shape.vertices + heights[:, None] * _compute_normals(shape.vertices, shape.faces)
     return Shape(moved, shape.faces)
 
 
-def _normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+def _compute_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Unit normals (n, 3) at vertices: means of the faces about them, weighted by their area."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
@@ -206,12 +211,12 @@ def _normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     return unit(total)
 
 
-def _halved(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
+def _split_edges(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     sides.sort(axis=1)
     count = len(vertices)
     edges, number = np.unique(sides[:, 0] * count + sides[:, 1], return_inverse=True)
-    normals = _normals(vertices, faces)
+    normals = _compute_normals(vertices, faces)
     first, second = edges // count, edges % count
     way = vertices[second] - vertices[first]
     middles = 0.5 * (vertices[first] + vertices[second])

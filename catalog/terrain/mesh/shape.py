@@ -26,11 +26,11 @@ from catalog.bodies.body import Body
 from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.progress import Progress, SilentProgress
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.dem.source import METRES
 from catalog.terrain.mesh.file import MeshSettings, RawMesh, read_mesh
 from catalog.terrain.mesh.rays import MeshRays
-from catalog.terrain.mesh.winding import Edges, edges_of, pieces_of, turns_about, volume_of
+from catalog.terrain.mesh.winding import Edges, compute_volume, count_turns, find_edges, find_pieces
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ class Shape:
     @property
     def volume_m3(self) -> float:
         """Volume inside."""
-        return volume_of(self.vertices, self.faces)
+        return compute_volume(self.vertices, self.faces)
 
     @property
     def posting_m(self) -> float:
@@ -94,14 +94,14 @@ def load_shape(
     Raises DataError for a file that is no mesh or one that is open, in several pieces, beside the
     origin or not as large as the body.
     """
-    path = path_of(settings.path, base_dir)
+    path = resolve_path(settings.path, base_dir)
     raw = read_mesh(path, settings.longitude, progress or SilentProgress())
     if len(raw.faces) >= MANY_FACES:
         log.info("%s: checking %s faces, some 10 s a million", path, f"{len(raw.faces):,}")
     scaled = RawMesh(raw.vertices * METRES[settings.units], raw.faces)
     _check_size(path, settings, scaled.vertices, body)
-    shape = closed_shape(path, scaled)
-    if not np.isclose(turns_about(np.zeros(3), shape.vertices, shape.faces), 1.0, atol=1e-3):
+    shape = repair_shape(path, scaled)
+    if not np.isclose(count_turns(np.zeros(3), shape.vertices, shape.faces), 1.0, atol=1e-3):
         low, high = shape.vertices.min(axis=0) / 1e3, shape.vertices.max(axis=0) / 1e3
         raise DataError(
             f"{path}: the origin lies outside the surface (x {low[0]:.4g} to {high[0]:.4g} km, "
@@ -114,16 +114,16 @@ def load_shape(
     return shape
 
 
-def closed_shape(path: Path, raw: RawMesh) -> Shape:
+def repair_shape(path: Path, raw: RawMesh) -> Shape:
     """Mend small faults of a surface and check what is left. Raises DataError naming the place."""
     mended: list[str] = []
-    vertices, faces = _merged(raw, mended)
-    faces = _with_area(vertices, faces, mended)
+    vertices, faces = _merge_vertices(raw, mended)
+    faces = _drop_flat_faces(vertices, faces, mended)
     if len(faces) < 4:
         raise DataError(f"{path}: {len(faces)} triangles have an area; wanted a closed surface")
-    edges = edges_of(faces)
+    edges = find_edges(faces)
     _check_edges(path, vertices, faces, edges)
-    pieces, piece, turned = pieces_of(edges)
+    pieces, piece, turned = find_pieces(edges)
     if pieces < 0:
         raise DataError(f"{path}: the surface has only one side; wanted one that encloses a body")
     if pieces > 1:
@@ -139,7 +139,7 @@ def closed_shape(path: Path, raw: RawMesh) -> Shape:
             "wanted one body: leave the others out of the file"
         )
     faces = np.where(turned[:, None], faces[:, ::-1], faces)
-    inward = volume_of(vertices, faces) < 0.0
+    inward = compute_volume(vertices, faces) < 0.0
     if inward:
         faces = np.ascontiguousarray(faces[:, ::-1])
     wrong = int((turned != inward).sum())
@@ -166,10 +166,10 @@ def _check_crossings(path: Path, shape: Shape) -> None:
     if len(shape.faces) > MAX_FACES_CROSSED:
         log.info("%s: has too many faces to look for such that cross each other", path)
         return
-    crossed = crossing_places(shape.vertices, shape.faces)
+    crossed = find_crossings(shape.vertices, shape.faces)
     if not len(crossed):
         return
-    words = f"{len(crossed)} edges go through faces of other places, at {_places(crossed)}"
+    words = f"{len(crossed)} edges go through faces of other places, at {_format_places(crossed)}"
     if len(crossed) > MAX_CROSSED * len(shape.faces):
         raise DataError(
             f"{path}: {words}: the surface passes through itself; take another model, or mend it "
@@ -196,7 +196,7 @@ def _check_size(path: Path, settings: MeshSettings, vertices: FloatArray, body: 
     )
 
 
-def _merged(raw: RawMesh, mended: list[str]) -> tuple[FloatArray, IntArray]:
+def _merge_vertices(raw: RawMesh, mended: list[str]) -> tuple[FloatArray, IntArray]:
     """One vertex for all at the same place."""
     reach = SAME_VERTEX * float(np.abs(raw.vertices).max())
     pairs = cKDTree(raw.vertices).query_pairs(reach, output_type="ndarray")
@@ -210,7 +210,7 @@ def _merged(raw: RawMesh, mended: list[str]) -> tuple[FloatArray, IntArray]:
     return vertices, faces
 
 
-def _with_area(vertices: FloatArray, faces: IntArray, mended: list[str]) -> IntArray:
+def _drop_flat_faces(vertices: FloatArray, faces: IntArray, mended: list[str]) -> IntArray:
     """Faces but those on one line or point, and those written twice."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     longest = np.max([np.linalg.norm(v, axis=1) for v in (b - a, c - b, a - c)], axis=0)
@@ -237,12 +237,12 @@ def _check_edges(path: Path, vertices: FloatArray, faces: IntArray, edges: Edges
             start = vertices[faces.ravel()[sides]]
             end = vertices[np.roll(faces, -1, axis=1).ravel()[sides]]
             raise DataError(
-                f"{path}: {sides.size} {what}, at {_places((start + end) / 2.0)}; wanted a closed "
-                "surface: close it in a mesh editor, or take the model in another format"
+                f"{path}: {sides.size} {what}, at {_format_places((start + end) / 2.0)}; wanted a "
+                "closed surface: close it in a mesh editor, or take the model in another format"
             )
 
 
-def _places(points: FloatArray) -> str:
+def _format_places(points: FloatArray) -> str:
     """Latitudes and longitudes of the first few points."""
     lat, lon, radius = latlon_from_xyz(points[:NAMED_PLACES])
     return "; ".join(
@@ -251,20 +251,22 @@ def _places(points: FloatArray) -> str:
     ) + ("; ..." if len(points) > NAMED_PLACES else "")
 
 
-def crossing_places(vertices: FloatArray, faces: IntArray) -> FloatArray:
+def find_crossings(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Places (n, 3) where edges of a closed surface go through other faces, one an edge at most."""
     rays = MeshRays(vertices[faces])
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     upward = start < end  # the other side of each edge runs the other way
     edges = np.stack([start[upward], end[upward]], axis=1)
     parts = [
-        _crossed(rays, vertices, faces, edges[first : first + EDGES_AT_ONCE])
+        _find_crossed(rays, vertices, faces, edges[first : first + EDGES_AT_ONCE])
         for first in range(0, len(edges), EDGES_AT_ONCE)
     ]
     return np.concatenate(parts)
 
 
-def _crossed(rays: MeshRays, vertices: FloatArray, faces: IntArray, edges: IntArray) -> FloatArray:
+def _find_crossed(
+    rays: MeshRays, vertices: FloatArray, faces: IntArray, edges: IntArray
+) -> FloatArray:
     begin, way = vertices[edges[:, 0]], vertices[edges[:, 1]] - vertices[edges[:, 0]]
     length = np.linalg.norm(way, axis=1)
     along = way / length[:, None]
@@ -278,11 +280,11 @@ def _crossed(rays: MeshRays, vertices: FloatArray, faces: IntArray, edges: IntAr
         if not waiting.size:
             break
         origins = begin[waiting] + travelled[waiting, None] * along[waiting]
-        face, at = rays.on_segments(origins, along[waiting], left)
+        face, at = rays.intersect_segments(origins, along[waiting], left)
         met = face >= 0
         waiting, face, at = waiting[met], face[met], np.maximum(at[met], 0.0)
         shared = (faces[face][:, :, None] == edges[waiting][:, None, :]).any(axis=(1, 2))
-        through = ~shared & _inside(vertices[faces[face]], begin[waiting], way[waiting])
+        through = ~shared & _is_inside(vertices[faces[face]], begin[waiting], way[waiting])
         places.append(begin[waiting[through]] + 0.5 * way[waiting[through]])
         # beyond what was met, by more than a step of a 32-bit number of the body's size
         step = np.maximum(INSIDE * length[waiting], 1e-6 * rays.reach_m)
@@ -291,7 +293,7 @@ def _crossed(rays: MeshRays, vertices: FloatArray, faces: IntArray, edges: IntAr
     return np.concatenate(places) if places else np.empty((0, 3))
 
 
-def _inside(corners: FloatArray, begin: FloatArray, way: FloatArray) -> BoolArray:
+def _is_inside(corners: FloatArray, begin: FloatArray, way: FloatArray) -> BoolArray:
     """Whether ways (n, 3) from their beginnings go through the inside of triangles (n, 3, 3)."""
     a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p = np.cross(way, v)

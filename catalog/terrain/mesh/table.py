@@ -37,45 +37,45 @@ def read_table(path: Path, longitude: str) -> tuple[FloatArray, IntArray]:
 
     Vertices on the poles and the seam occur several times. Raises ValueError for what is no table.
     """
-    first, second = _beginning(path)
+    first, second = _read_beginning(path)
     if len(first) <= 2 and longitude == "west":
         raise ValueError('a table of vertices has no longitudes; take longitude = "west" out')
     if len(first) > 2 or len(second) not in (3, 4):
         if len(first) != 3:
             raise ValueError(f"{len(first)} columns; wanted latitude, longitude, radius")
-        return surface_of(read_grid(path), longitude)
+        return make_surface(read_grid(path), longitude)
     counts = [_count(word, path) for word in first]
-    with _lines(path) as lines:
+    with _open_lines(path) as lines:
         next(lines)
-        rows = _numbers(islice(lines, counts[0]))
+        rows = _read_numbers(islice(lines, counts[0]))
         after = next(lines, "").split()
         if len(counts) == 1 and len(after) == rows.shape[1] == 3:
-            more_rows = _numbers(chain([" ".join(after)], lines))
-            return _icq(np.concatenate([rows, more_rows]), counts[0])
+            more_rows = _read_numbers(chain([" ".join(after)], lines))
+            return _make_icq(np.concatenate([rows, more_rows]), counts[0])
         if len(counts) == 2:
-            plates = _numbers(chain([" ".join(after)], lines), np.int64)
+            plates = _read_numbers(chain([" ".join(after)], lines), np.int64)
         else:
             counts.append(_count(" ".join(after), path))
-            plates = _numbers(lines, np.int64)
+            plates = _read_numbers(lines, np.int64)
     if [len(rows), len(plates)] != counts or plates.shape[1] not in (3, 4):
         raise ValueError(f"{len(rows)} vertices and {len(plates)} plates; it states {counts}")
-    return rows[:, -3:], _places_of(plates[:, -3:], rows)
+    return rows[:, -3:], _find_vertices(plates[:, -3:], rows)
 
 
 def is_grid(path: Path) -> bool:
     """Whether a table that can be read is a grid of radii."""
-    return len(_beginning(path)[0]) == 3
+    return len(_read_beginning(path)[0]) == 3
 
 
-def vertex_face_lines(path: Path) -> bool:
+def is_vertex_face_table(path: Path) -> bool:
     """Whether a table is lines "v x y z" and "f i j k"."""
-    return _beginning(path)[0][:1] == ["v"]
+    return _read_beginning(path)[0][:1] == ["v"]
 
 
 def read_grid(path: Path) -> RadiiGrid:
     """The radii of a table. Raises ValueError where they do not cover the body once."""
-    with _lines(path) as lines:
-        rows = _numbers(lines)
+    with _open_lines(path) as lines:
+        rows = _read_numbers(lines)
     lats, lons = np.unique(rows[:, 0]), np.unique(rows[:, 1])
     shape = lats.size, lons.size
     if len(rows) != lats.size * lons.size or min(shape) < 3:
@@ -99,7 +99,7 @@ def read_grid(path: Path) -> RadiiGrid:
     return RadiiGrid(lats, lons, radii)
 
 
-def surface_of(grid: RadiiGrid, longitude: str) -> tuple[FloatArray, IntArray]:
+def make_surface(grid: RadiiGrid, longitude: str) -> tuple[FloatArray, IntArray]:
     """Vertices (n, 3) and triangles (m, 3), counter-clockwise from outside, of a grid of radii."""
     lats, lons, radii = grid
     sign = -1.0 if longitude == "west" else 1.0
@@ -108,7 +108,7 @@ def surface_of(grid: RadiiGrid, longitude: str) -> tuple[FloatArray, IntArray]:
     vertices[np.repeat(np.abs(lats) > 90.0 - ANGLE_TOLERANCE_DEG, lons.size), :2] = 0.0
     numbers = np.arange(len(vertices)).reshape(radii.shape)
     # where the two ends of a parallel differ, the step between them is part of the surface
-    faces = np.concatenate([_quads(numbers), _quads(numbers[:, [-1, 0]])])
+    faces = np.concatenate([_split_quads(numbers), _split_quads(numbers[:, [-1, 0]])])
     at = np.stack([lats[:, None] + 0.0 * lons, np.mod(lons, 360.0) + 0.0 * radii, radii], axis=-1)
     at[np.abs(lats) > 90.0 - ANGLE_TOLERANCE_DEG, :, 1] = 0.0
     corners = at.reshape(-1, 3)[faces]
@@ -117,19 +117,19 @@ def surface_of(grid: RadiiGrid, longitude: str) -> tuple[FloatArray, IntArray]:
 
 
 @contextmanager
-def _lines(path: Path) -> Iterator[Iterator[str]]:
+def _open_lines(path: Path) -> Iterator[Iterator[str]]:
     """Lines of a table that are not blank, without commas and comments."""
     with path.open(encoding="ascii", errors="strict") as file:
         yield filter(None, (line.partition("#")[0].replace(",", " ").strip() for line in file))
 
 
-def _beginning(path: Path) -> tuple[list[str], list[str]]:
+def _read_beginning(path: Path) -> tuple[list[str], list[str]]:
     """The words of the first two lines."""
-    with _lines(path) as lines:
+    with _open_lines(path) as lines:
         return next(lines, "").split(), next(lines, "").split()
 
 
-def _numbers(lines: Iterator[str], kind: type[np.generic] = np.float64) -> NDArray[Any]:
+def _read_numbers(lines: Iterator[str], kind: type[np.generic] = np.float64) -> NDArray[Any]:
     """The numbers (n, columns) of lines. Raises ValueError for none."""
     first = next(lines, None)
     if first is None:
@@ -147,15 +147,15 @@ def _count(word: str, path: Path) -> int:
     return int(word)
 
 
-def _icq(vertices: FloatArray, q: int) -> tuple[FloatArray, IntArray]:
+def _make_icq(vertices: FloatArray, q: int) -> tuple[FloatArray, IntArray]:
     wanted = 6 * (q + 1) ** 2
     if len(vertices) != wanted:
         raise ValueError(f"{len(vertices)} vertices; six faces of {q} x {q} have {wanted}")
     numbers = np.arange(wanted).reshape(6, q + 1, q + 1)
-    return vertices, np.concatenate([_quads(face) for face in numbers])
+    return vertices, np.concatenate([_split_quads(face) for face in numbers])
 
 
-def _places_of(plates: IntArray, rows: FloatArray) -> IntArray:
+def _find_vertices(plates: IntArray, rows: FloatArray) -> IntArray:
     """Places of the vertices that plates name: by the numbers before them, else from 1."""
     names = rows[:, 0] if rows.shape[1] == 4 else np.arange(1.0, len(rows) + 1.0)
     order = np.argsort(names, kind="stable")
@@ -167,7 +167,7 @@ def _places_of(plates: IntArray, rows: FloatArray) -> IntArray:
     return places
 
 
-def _quads(numbers: IntArray) -> IntArray:
+def _split_quads(numbers: IntArray) -> IntArray:
     """Two triangles for each quadrilateral of a grid of vertex numbers; rows go north."""
     a, b = numbers[:-1, :-1].ravel(), numbers[:-1, 1:].ravel()
     c, d = numbers[1:, 1:].ravel(), numbers[1:, :-1].ravel()

@@ -25,7 +25,7 @@ from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.geometry.cells import Graticule, Part
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
-from catalog.geometry.projection import MapProjection, Stereographic, TangentPlane, node_grid
+from catalog.geometry.projection import MapProjection, Stereographic, TangentPlane, make_node_grid
 from catalog.geometry.vectors import unit
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief
@@ -95,10 +95,10 @@ class MeshTerrain:
         """The projection of patches about the ground at a place (rad, planetocentric)."""
         if self.own_planes:
             point = self.points(lat, lon)
-            normal_lat, normal_lon, _ = latlon_from_xyz(self._normal_about(point))
-            return TangentPlane.through(point, float(normal_lat), float(normal_lon))
+            normal_lat, normal_lon, _ = latlon_from_xyz(self._average_normal(point))
+            return TangentPlane.make_through(point, float(normal_lat), float(normal_lon))
         if self.in_planes:
-            return TangentPlane.below(self.points(lat, lon), self.body.radii_m)
+            return TangentPlane.make_below(self.points(lat, lon), self.body.radii_m)
         return Stereographic(lat, lon, self.body.radius_m)
 
     @cached_property
@@ -108,7 +108,7 @@ class MeshTerrain:
         a, b, c = (corners[:, k] for k in range(3))
         return cKDTree(corners.mean(axis=1)), np.cross(b - a, c - a)
 
-    def _normal_about(self, point: FloatArray) -> FloatArray:
+    def _average_normal(self, point: FloatArray) -> FloatArray:
         """Unit mean normal (3,) of the ground about a point (3,) m, without what looks away."""
         tree, areas = self._faces
         _, nearest = tree.query(point)
@@ -122,7 +122,7 @@ class MeshTerrain:
         directions = xyz_from_latlon(lat, lon, 1.0)
         outward = directions.reshape(-1, 3)
         start = 2.0 * self.rays.reach_m
-        _, distance = self.rays.first_hits(start * outward, -outward)
+        _, distance = self.rays.find_first_hits(start * outward, -outward)
         return (outward * (start - distance)[:, None]).reshape(directions.shape)
 
     def heights(self, lat: ArrayLike, lon: ArrayLike, posting_m: float) -> Float32Array:
@@ -151,12 +151,14 @@ class MeshTerrain:
         In a plane of the ground: whether more than a few lines do.
         """
         if self.own_planes:
-            return self._covered_share(projection, posting_m, size) > MAX_COVERED
-        first = self._outermost(projection, *node_grid(size, posting_m))
-        single = self._outermost(projection, *node_grid(size, posting_m), size * posting_m)
+            return self._measure_covered_share(projection, posting_m, size) > MAX_COVERED
+        first = self._find_outermost(projection, *make_node_grid(size, posting_m))
+        single = self._find_outermost(
+            projection, *make_node_grid(size, posting_m), size * posting_m
+        )
         return bool((np.isnan(single) & ~np.isnan(first)).any())
 
-    def beyond(
+    def make_outer_grids(
         self, projection: MapProjection, posting_m: float, size: int
     ) -> Sequence[tuple[Float32Array, float]]:
         """Coarser grids, each of twice the posting of the one before, until all of the body is in.
@@ -186,31 +188,31 @@ class MeshTerrain:
         *,
         up: bool = False,
     ) -> Float32Array:
-        """Means of heights, see `_outermost` and `_in_plane`, over the cells of a grid's nodes.
+        """Average heights of `_find_outermost` or `_find_in_plane` over the cells of grid nodes.
 
         up  whether ground over the ceiling counts as high as that
         """
         # what throws shadows from afar need not be as exact as what is matched
         most = SHADOW_RAYS_ASIDE if up and self.own_planes else MAX_RAYS_ASIDE
         aside = int(np.clip(np.ceil(posting_m / self.posting_m - 0.05), 1, most))
-        x, y = node_grid(size * aside, posting_m / aside)
+        x, y = make_node_grid(size * aside, posting_m / aside)
         if self.own_planes and depth_m:
-            heights, filled = self._in_plane(projection, x, y, depth_m)
+            heights, filled = self._find_in_plane(projection, x, y, depth_m)
             heights[filled & up] = depth_m / 2.0
         else:
-            heights = self._outermost(projection, x, y, depth_m)
+            heights = self._find_outermost(projection, x, y, depth_m)
         cells = heights.reshape(size, aside, size, aside)
         means: Float32Array = cells.mean(axis=(1, 3)).astype(np.float32)
         return means
 
-    def _outermost(
+    def _find_outermost(
         self, projection: MapProjection, x: FloatArray, y: FloatArray, depth_m: float = 0.0
     ) -> FloatArray:
         """Heights of the outermost ground; NaN where it begins again less than depth_m below."""
         top = 2.0 * self.rays.reach_m  # above all ground
         starts = projection.points(x.ravel(), y.ravel(), top)
         rays = projection.downward(starts)
-        face, distance = self.rays.first_hits(starts, rays)
+        face, distance = self.rays.find_first_hits(starts, rays)
         height = np.where(np.isfinite(distance), top - distance, np.nan)
         if depth_m == 0.0:
             return height.reshape(x.shape)
@@ -220,14 +222,14 @@ class MeshTerrain:
         for _ in range(2):
             if not met.size:
                 break
-            face, at = self.rays.next_hits(starts[met], rays[met], distance[met] + past)
+            face, at = self.rays.find_next_hits(starts[met], rays[met], distance[met] + past)
             below = (face >= 0) & (at < top - height[met] + depth_m)
             met = met[below]
             distance[met] = at[below]
         height[met] = np.nan
         return height.reshape(x.shape)
 
-    def _in_plane(
+    def _find_in_plane(
         self, projection: MapProjection, x: FloatArray, y: FloatArray, width_m: float
     ) -> tuple[FloatArray, BoolArray]:
         """Heights of the first ground below a ceiling of half a width, NaN where there is none.
@@ -237,11 +239,11 @@ class MeshTerrain:
         top, ceiling = 2.0 * self.rays.reach_m, width_m / 2.0
         starts = projection.points(x.ravel(), y.ravel(), top)
         rays = projection.downward(starts)
-        face, distance = self.rays.first_hits(starts, rays)
+        face, distance = self.rays.find_first_hits(starts, rays)
         filled = np.zeros(face.size, dtype=bool)
         over = np.flatnonzero((face >= 0) & (top - distance > ceiling))
         for _ in range(MAX_PASSED):
-            out, again = self._next_ground(starts[over], rays[over], distance[over])
+            out, again = self._find_next_ground(starts[over], rays[over], distance[over])
             filled[over] = top - out < ceiling
             distance[over] = np.where(filled[over], np.inf, again)
             over = over[top - distance[over] > ceiling]
@@ -252,28 +254,30 @@ class MeshTerrain:
         height[height < -width_m] = np.nan
         return height.reshape(x.shape), filled.reshape(x.shape)
 
-    def _covered_share(self, projection: MapProjection, posting_m: float, size: int) -> float:
+    def _measure_covered_share(
+        self, projection: MapProjection, posting_m: float, size: int
+    ) -> float:
         """Share of a grid's nodes that have more ground within its width below the first."""
-        x, y = node_grid(size, posting_m)
-        heights = self._in_plane(projection, x, y, size * posting_m)[0].ravel()
+        x, y = make_node_grid(size, posting_m)
+        heights = self._find_in_plane(projection, x, y, size * posting_m)[0].ravel()
         top = 2.0 * self.rays.reach_m
         met = np.flatnonzero(np.isfinite(heights))
         starts = projection.points(x.ravel()[met], y.ravel()[met], top)
         rays = projection.downward(starts)
-        below = self._next_ground(starts, rays, top - heights[met])[1]
+        below = self._find_next_ground(starts, rays, top - heights[met])[1]
         return float((top - below > heights[met] - size * posting_m).sum() / heights.size)
 
-    def _next_ground(
+    def _find_next_ground(
         self, starts: FloatArray, rays: FloatArray, distance: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Where rays that met ground at distances (n) m leave the body, and meet it once more."""
         past, again = PAST * self.rays.reach_m, np.full(len(rays), np.inf)
         if not len(rays):
             return again, again
-        _, out = self.rays.next_hits(starts, rays, distance + past)
+        _, out = self.rays.find_next_hits(starts, rays, distance + past)
         left = np.flatnonzero(np.isfinite(out))
         if left.size:
-            _, again[left] = self.rays.next_hits(starts[left], rays[left], out[left] + past)
+            _, again[left] = self.rays.find_next_hits(starts[left], rays[left], out[left] + past)
         return out, again
 
 
@@ -281,7 +285,7 @@ RAYS_ASIDE = 4  # a side of a cell, of which the mean is taken
 MAX_ROWS = 1440
 
 
-def relief_of_mesh(terrain: MeshTerrain) -> GlobalRelief:
+def make_mesh_relief(terrain: MeshTerrain) -> GlobalRelief:
     """Mean and greatest heights, as far out as the surface reaches, in cells half as wide as faces.
 
     On a flat face the radius is greatest at a corner or where a cell ends. Greatest heights are
@@ -306,7 +310,7 @@ def relief_of_mesh(terrain: MeshTerrain) -> GlobalRelief:
     return GlobalRelief(means, np.maximum(max_heights, means), radius, terrain.name)
 
 
-def mesh_of_relief(relief: GlobalRelief) -> MeshRays:
+def make_relief_mesh(relief: GlobalRelief) -> MeshRays:
     """The surface of a relief: triangles between the middles of its cells, closed at the poles."""
     rows, cols = relief.heights.shape
     lat = np.pi / 2.0 - (np.arange(rows) + 0.5) * relief.step_rad

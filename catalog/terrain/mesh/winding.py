@@ -23,7 +23,7 @@ class Edges(NamedTuple):
     same: BoolArray
 
 
-def edges_of(faces: IntArray) -> Edges:
+def find_edges(faces: IntArray) -> Edges:
     """The edges of faces (m, 3)."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -42,7 +42,7 @@ def edges_of(faces: IntArray) -> Edges:
 
 
 @kernel
-def _flood(other: IntArray, same: BoolArray, piece: IntArray, turned: BoolArray) -> int:
+def _orient_pieces(other: IntArray, same: BoolArray, piece: IntArray, turned: BoolArray) -> int:
     """Number pieces and mark which faces are to turn so that each agrees with its first face.
 
     Returns how many pieces, or minus one where a piece has only one side (as a Moebius strip has).
@@ -76,20 +76,20 @@ def _flood(other: IntArray, same: BoolArray, piece: IntArray, turned: BoolArray)
     return count
 
 
-def pieces_of(edges: Edges) -> tuple[int, IntArray, BoolArray]:
+def find_pieces(edges: Edges) -> tuple[int, IntArray, BoolArray]:
     """Count a surface's pieces (-1: one-sided); also each face's piece and which faces to turn."""
     piece = np.full(edges.other.size // 3, -1, dtype=np.int64)
     turned = np.zeros(piece.size, dtype=bool)
-    return _flood(edges.other, edges.same, piece, turned), piece, turned
+    return _orient_pieces(edges.other, edges.same, piece, turned), piece, turned
 
 
-def volume_of(vertices: FloatArray, faces: IntArray) -> float:
+def compute_volume(vertices: FloatArray, faces: IntArray) -> float:
     """Volume inside a closed surface; negative where its faces look inward."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
-def turns_about(point: FloatArray, vertices: FloatArray, faces: IntArray) -> float:
+def count_turns(point: FloatArray, vertices: FloatArray, faces: IntArray) -> float:
     """Count the turns of a closed surface round a point: 1 inside, 0 outside.
 
     Source: van Oosterom & Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125: the solid angle of a

@@ -6,7 +6,7 @@ from catalog.arrays import Float32Array
 from catalog.cache import Cache
 from catalog.geometry.kernel import kernel
 from catalog.terrain.dem.file import HEIGHTS
-from catalog.terrain.dem.georeference import Georeference, column_spans
+from catalog.terrain.dem.georeference import Georeference, iterate_column_spans
 from catalog.terrain.pyramid.pyramid import POLE_TOLERANCE, HeightPyramid
 
 TILE = 256  # pixels a side; whole tiles of the overviews
@@ -23,10 +23,10 @@ def tile_cache() -> TileCache:
     return Cache(CACHE_BYTES, lambda tile: int(tile.nbytes))
 
 
-def mirrored_poles(place: Georeference) -> tuple[bool, bool]:
+def find_mirrored_poles(place: Georeference) -> tuple[bool, bool]:
     """Whether a raster's upper and lower edge are a pole, beyond which it goes on."""
     edges = (-0.5, place.shape[0] - 0.5)
-    top, bottom = (place.reaches_pole(edge, POLE_TOLERANCE) != 0 for edge in edges)
+    top, bottom = (place.find_pole(edge, POLE_TOLERANCE) != 0 for edge in edges)
     return top, bottom
 
 
@@ -61,14 +61,14 @@ class LevelWindows:
         # mirroring needs an edge exactly at the pole and a column half a turn away
         even = full_turn and cols % 2 == 0 and rows << level == georeference.shape[0]
         self.wraps = full_turn
-        top, bottom = mirrored_poles(georeference)
+        top, bottom = find_mirrored_poles(georeference)
         self.mirrors_top, self.mirrors_bottom = even and top, even and bottom
         self.most_halvings = 0
         # halvings leave some columns, and an even number of whole ones in a ring
         while base is None and cols >= 2 * MIN_COLUMNS and not (full_turn and cols % 4):
             cols, self.most_halvings = -(-cols // 2), self.most_halvings + 1
 
-    def halved(self, halvings: int) -> "LevelWindows":
+    def get_halved(self, halvings: int) -> "LevelWindows":
         """Return this level with columns averaged 2^halvings at a time."""
         if halvings not in self._halved:
             self._halved[halvings] = LevelWindows(
@@ -104,7 +104,7 @@ class LevelWindows:
         """Copy from tiles into `out`, whose rows lie inside the raster; columns wrap."""
         rows, cols = self.shape
         height, width = out.shape
-        for at, col, count in column_spans(col0, width, cols, self.wraps, TILE):
+        for at, col, count in iterate_column_spans(col0, width, cols, self.wraps, TILE):
             along, inner = divmod(col, TILE)
             row = max(row0, 0)
             while row < min(row0 + height, rows):
@@ -128,8 +128,8 @@ class LevelWindows:
         if self.halvings == 0:
             return self.pyramid.read(self.level, row, col, height, width)
         out = np.empty((height, width), np.float32)
-        if self.halvings > self._base.least_halvings(down):
-            finer = self._base.halved(self.halvings - 1)
+        if self.halvings > self._base.find_least_halvings(down):
+            finer = self._base.get_halved(self.halvings - 1)
             for part in range(2 * along, min(2 * along + 2, -(-finer.shape[1] // TILE))):
                 at = (part - 2 * along) * (TILE // 2)
                 HEIGHTS.average_columns(finer._tile(down, part), 2, out[:, at : at + TILE // 2])
@@ -145,7 +145,7 @@ class LevelWindows:
             convert.average_columns(raw, many, out[:, at : at + step])
         return out
 
-    def least_halvings(self, down: int) -> int:
+    def find_least_halvings(self, down: int) -> int:
         """The fewest halvings that any footprint in a row of tiles needs, but for rare ones.
 
         Footprints are about as high as the level's rows, half as high at the finest level.
@@ -156,11 +156,11 @@ class LevelWindows:
         wide = (1.0 if self.level else 0.5) * float(
             georeference.columns_per_posting(1.0, lat).min()
         )
-        return int(halvings_for(wide, self.most_halvings))
+        return int(count_halvings(wide, self.most_halvings))
 
 
 @kernel
-def halvings_for(wide: float, most: int) -> int:
+def count_halvings(wide: float, most: int) -> int:
     """Count the halvings of columns under a footprint `wide` columns wide: 1.5 to 3 are left."""
     count = 0
     while wide >= 3.0 and count < most:

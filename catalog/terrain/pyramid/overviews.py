@@ -115,9 +115,9 @@ def write_levels(
             _copy_into_tiles(source, folder, progress)
         for first in range(0, max(1, levels - 1), CASCADE):
             made = min(CASCADE, levels - 1 - first)
-            _cascade(source, folder, first, made, statistics, workers, progress)
+            _write_cascade(source, folder, first, made, statistics, workers, progress)
     except RasterioError as error:
-        reason = _why_unwritten(folder, error)
+        reason = _explain_unwritten(folder, error)
         raise OutputError(f"{folder}: overviews cannot be written ({reason}); free space") from None
     if statistics.valid == 0:
         raise DataError(f"{source.path}: has no data at all; check `nodata` and the file")
@@ -148,7 +148,7 @@ def _is_copied(source: DemSource) -> bool:
     return cols > MAX_STRIP and rows <= 16
 
 
-def _cascade(
+def _write_cascade(
     source: DemSource,
     folder: Path,
     first: int,
@@ -178,7 +178,7 @@ def _cascade(
             with reopen_raster(path, OWN) as dataset:
                 row, col, height, width = window
                 raw = dataset.read(1, window=Window(col, row, width, height))
-        part = extremes(raw, convert)
+        part = find_extremes(raw, convert)
         if first == 0:
             every = statistics.sample.step
             statistics.sample.add_thinned(convert(raw[::every, ::every]))
@@ -188,16 +188,16 @@ def _cascade(
             mark_holes(raw, convert, WHOLE_BLOCK, statistics.hole_free[at[0] :, at[1] :])
         grids = []
         if made > 0:
-            grids.append(halve_raw(raw, convert, step))
+            grids.append(downsample_raw(raw, convert, step))
         while len(grids) < made:
-            grids.append(halve_raw(grids[-1], HEIGHTS, step))
+            grids.append(downsample_raw(grids[-1], HEIGHTS, step))
         return part, grids
 
     outputs = [_create(source, folder, first + 1 + k) for k in range(made)]
     name = "overviews" if first == 0 else f"overviews from level {first}"
     try:
         with progress.stage(name, total=len(windows), unit="window") as stage:
-            for window, (part, grids) in _in_order(work, windows, workers):
+            for window, (part, grids) in _process_in_order(work, windows, workers):
                 if first == 0:
                     statistics.add(part)
                 for k, grid in enumerate(grids):
@@ -209,7 +209,7 @@ def _cascade(
             output.close()
 
 
-def _why_unwritten(folder: Path, error: RasterioError) -> str:
+def _explain_unwritten(folder: Path, error: RasterioError) -> str:
     """Explain why the folder takes no more; GDAL's own words name a line of the file only."""
     try:
         with tempfile.TemporaryFile(dir=folder) as probe:
@@ -220,7 +220,7 @@ def _why_unwritten(folder: Path, error: RasterioError) -> str:
     return gdal_reason(error)
 
 
-def _in_order(
+def _process_in_order(
     work: Any, windows: list[tuple[int, int, int, int]], workers: int
 ) -> Iterator[tuple[tuple[int, int, int, int], tuple[Any, list[Float32Array]]]]:
     """Results in order; no more windows in memory than threads and one."""
@@ -253,7 +253,7 @@ def _create(source: DemSource, folder: Path, level: int) -> Any:
     # that of every later reading, to save less than half of their size.
     packing: dict[str, Any] = {}
     if level == 0:
-        packing = {"compress": "zstd", "zstd_level": 1, "predictor": _predictor(dtype)}
+        packing = {"compress": "zstd", "zstd_level": 1, "predictor": _choose_predictor(dtype)}
     return rasterio.open(
         level_path(folder, level),
         "w",
@@ -273,7 +273,7 @@ def _create(source: DemSource, folder: Path, level: int) -> Any:
     )
 
 
-def _predictor(dtype: str) -> int:
+def _choose_predictor(dtype: str) -> int:
     """Choose the predictor of packed tiles: one for floats would double the time of each read."""
     return 1 if np.dtype(dtype).kind == "f" else 2
 
@@ -293,7 +293,7 @@ def _copy_into_tiles(source: DemSource, folder: Path, progress: Progress) -> Non
 
 
 @kernel
-def extremes(raw: NDArray[Any], convert: Conversion) -> tuple[float, float, int, int]:
+def find_extremes(raw: NDArray[Any], convert: Conversion) -> tuple[float, float, int, int]:
     """Lowest and highest height, number of valid and of all values."""
     rows, cols = raw.shape
     first, last = convert.first_nodata, convert.last_nodata
@@ -325,10 +325,10 @@ def mark_holes(raw: NDArray[Any], convert: Conversion, block: int, whole: BoolAr
 
 
 @kernel
-def _halve_rows(
+def _average_row_pair(
     upper: NDArray[Any], lower: NDArray[Any], convert: Conversion, step: float, out: Float32Array
 ) -> None:
-    """`halve_raw` of two whole rows, without branches: a fifth of the time."""
+    """`downsample_raw` of two whole rows, without branches: a fifth of the time."""
     first, last = convert.first_nodata, convert.last_nodata
     scale, offset = convert.scale_m, convert.offset_m
     total, known = np.zeros(out.size), np.zeros(out.size)
@@ -345,7 +345,7 @@ def _halve_rows(
 
 
 @kernel
-def halve_raw(raw: NDArray[Any], convert: Conversion, step: float) -> Float32Array:
+def downsample_raw(raw: NDArray[Any], convert: Conversion, step: float) -> Float32Array:
     """Means of 2 x 2 counts as heights rounded to `step`; at least half of what is there is valid.
 
     An odd last row or column has fewer than four counts to average.
@@ -353,7 +353,7 @@ def halve_raw(raw: NDArray[Any], convert: Conversion, step: float) -> Float32Arr
     rows, cols = raw.shape
     out = np.empty(((rows + 1) // 2, (cols + 1) // 2), np.float32)
     for i in range(rows // 2):
-        _halve_rows(raw[2 * i], raw[2 * i + 1], convert, step, out[i])
+        _average_row_pair(raw[2 * i], raw[2 * i + 1], convert, step, out[i])
     for i in range(out.shape[0]):
         for j in range(cols // 2 if i < rows // 2 else 0, out.shape[1]):
             total, valid, there = 0.0, 0, 0

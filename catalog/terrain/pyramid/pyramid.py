@@ -57,10 +57,10 @@ class HeightPyramid:
         """Whether every place has a height: pole to pole, all round, no holes."""
         georeference = self.source.georeference
         rows = georeference.shape[0]
-        ends = [georeference.reaches_pole(edge, POLE_TOLERANCE) for edge in (-0.5, rows - 0.5)]
+        ends = [georeference.find_pole(edge, POLE_TOLERANCE) for edge in (-0.5, rows - 0.5)]
         return self.record.valid_share == 1.0 and sorted(ends) == [-1, 1]
 
-    def whole_blocks(self) -> BoolArray:
+    def load_hole_free_blocks(self) -> BoolArray:
         """Which blocks of WHOLE_BLOCK pixels a side (fewer in the last ones) have no hole."""
         if self.record.valid_share == 1.0:
             return np.ones(tuple(-(-side // WHOLE_BLOCK) for side in self.source.shape), dtype=bool)
@@ -68,10 +68,10 @@ class HeightPyramid:
         try:
             hole_free: BoolArray = np.load(path)
         except (OSError, ValueError):
-            raise DataError(_torn(path, self.folder)) from None
+            raise DataError(_describe_damage(path, self.folder)) from None
         return hole_free
 
-    def level_for(self, posting_m: float) -> int:
+    def choose_level(self, posting_m: float) -> int:
         """The coarsest level whose posting is at most 1.05 times the wanted one; 0 if none is."""
         ratio = 1.05 * posting_m / self.source.posting_m
         return min(self.levels - 1, max(0, math.floor(math.log2(ratio)))) if ratio > 0.0 else 0
@@ -94,7 +94,7 @@ class HeightPyramid:
                     self._open[level] = reopen_raster(path, OWN)
                 raw = self._open[level].read(1, window=Window(col, row, width, height))
         except DataError:
-            raise DataError(_torn(path, self.folder)) from None
+            raise DataError(_describe_damage(path, self.folder)) from None
         return raw, HEIGHTS if level else self.source.convert
 
     def close(self) -> None:
@@ -119,7 +119,7 @@ class HeightPyramid:
         state = source.path.stat()
         same = (
             record.format == FORMAT
-            and _reading(record.settings) == _reading(source.settings)
+            and _strip_presentation(record.settings) == _strip_presentation(source.settings)
             and record.shape == source.shape
             and record.source_bytes == state.st_size
             and record.source_mtime_ns == state.st_mtime_ns
@@ -155,10 +155,10 @@ class HeightPyramid:
         return cls.load(source, folder) or cls.build(source, folder, workers)
 
 
-def _reading(settings: DemSettings) -> DemSettings:
+def _strip_presentation(settings: DemSettings) -> DemSettings:
     """Settings without those that do not change what is read from a file."""
     return msgspec.structs.replace(settings, priority=1, feather_km=0.0)
 
 
-def _torn(path: Path, folder: Path) -> str:
+def _describe_damage(path: Path, folder: Path) -> str:
     return f"{path}: cannot be read; remove the folder {folder} to have it made again"

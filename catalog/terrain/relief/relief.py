@@ -53,12 +53,12 @@ class GlobalRelief:
         """Heights (...) m between the cells' means, at latitudes and east longitudes (rad)."""
         lat, lon = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (lat, lon)))
         heights = np.empty(lat.size)
-        _heights(self.heights, np.ravel(lat), np.ravel(lon), heights)
+        _interpolate_heights(self.heights, np.ravel(lat), np.ravel(lon), heights)
         return heights.reshape(lat.shape)
 
 
 @kernel
-def relief_height(grid: Float32Array, lat: float, lon: float) -> float:
+def interpolate_relief(grid: Float32Array, lat: float, lon: float) -> float:
     """The height between the four nearest cells (n, 2n) of a place (rad).
 
     Columns go on across +-180 deg, rows across the poles to the opposite meridian.
@@ -83,6 +83,8 @@ def relief_height(grid: Float32Array, lat: float, lon: float) -> float:
 
 
 @kernel
-def _heights(grid: Float32Array, lat: FloatArray, lon: FloatArray, found: FloatArray) -> None:
+def _interpolate_heights(
+    grid: Float32Array, lat: FloatArray, lon: FloatArray, found: FloatArray
+) -> None:
     for i in range(lat.size):
-        found[i] = relief_height(grid, lat[i], lon[i])
+        found[i] = interpolate_relief(grid, lat[i], lon[i])

@@ -110,9 +110,13 @@ class CellSums:
             for window in windows:
                 pixels = layer.read(*window)
                 if layer.georeference.kind == CYLINDRICAL:
-                    low, high = _add_overlaps(pixels, *_edges(layer, len(self.means), window), new)
+                    low, high = _add_overlaps(
+                        pixels, *_locate_edges(layer, len(self.means), window), new
+                    )
                 else:
-                    low, high = _add_middles(pixels, *_middles(layer, len(self.means), window), new)
+                    low, high = _add_middles(
+                        pixels, *_locate_middles(layer, len(self.means), window), new
+                    )
                 lowest, highest = min(lowest, low), max(highest, high)
                 stage.advance()
         _join(new, Cells(self.means, self.shares, self.max_heights))
@@ -126,7 +130,7 @@ class CellSums:
         """
         holes = np.argwhere(self.shares == 0.0)
         while holes.size:
-            estimates = _of_neighbours(holes, self.means, self.shares, self.max_heights)
+            estimates = _average_neighbours(holes, self.means, self.shares, self.max_heights)
             known = np.isfinite(estimates[:, 0])
             if not known.any():
                 return
@@ -136,20 +140,22 @@ class CellSums:
             holes = holes[~known]
 
 
-def relief_from_dem(source: DemSource, rows: int | None = None) -> GlobalRelief:
+def build_relief(source: DemSource, rows: int | None = None) -> GlobalRelief:
     """The relief of a terrain model that shows the whole body, read once, window by window.
 
     rows  of the relief; without it the model's own, but no more than ROWS
     Raises DataError for a damaged file, one of a part of the body or with impossible heights.
     """
-    check_share(share_within_bounds(source), source.path, source.body)  # before all of it is read
-    sums = CellSums(rows or rows_of(source.georeference.row_angle))
-    lay_whole(sums, source, SilentProgress())
+    check_share(
+        measure_share_within_bounds(source), source.path, source.body
+    )  # before all of it is read
+    sums = CellSums(rows or count_rows(source.georeference.row_angle))
+    add_dem(sums, source, SilentProgress())
     check_share(sums.coverage, source.path, source.body)
-    return finished(sums, source.body.radius_m, source.path.name)
+    return finish_relief(sums, source.body.radius_m, source.path.name)
 
 
-def share_within_bounds(source: DemSource) -> float:
+def measure_share_within_bounds(source: DemSource) -> float:
     """Share of the body within a terrain model's bounds, 1 if unknown: it shows no more."""
     west, south, east, north = source.latlon_bounds()
     if not np.isfinite([west, south, east, north]).all():  # a map with corners beyond the body
@@ -166,7 +172,7 @@ def check_share(share: float, who: object, body: Body) -> None:
         )
 
 
-def lay_whole(sums: CellSums, source: DemSource, progress: Progress) -> None:
+def add_dem(sums: CellSums, source: DemSource, progress: Progress) -> None:
     """Lay a terrain model, at its own posting, under what the cells have.
 
     Raises DataError for a damaged file or one with impossible heights.
@@ -185,12 +191,12 @@ def lay_whole(sums: CellSums, source: DemSource, progress: Progress) -> None:
         source.check_heights(lowest_m, highest_m)
 
 
-def rows_of(row_angle: float) -> int:
+def count_rows(row_angle: float) -> int:
     """Rows of the relief of a terrain model with so much of latitude (rad) between its rows."""
     return min(ROWS, round(np.pi / row_angle))
 
 
-def finished(sums: CellSums, radius_m: float, source: str) -> GlobalRelief:
+def finish_relief(sums: CellSums, radius_m: float, source: str) -> GlobalRelief:
     """The relief of sums over nearly all cells; holes are filled."""
     sums.fill()
     # a mean rounded to float32 may pass the pixels that it is of
@@ -208,14 +214,14 @@ def load_relief(path: str, body: Body, stated: StatedError | None = None) -> Glo
     section = "[relief] dem of a build config, whose catalog carries the relief"
     source = DemSource.open(DemSettings(path=path), Path(), body, section, "check the path")
     try:
-        relief = relief_from_dem(source)
-        error = TerrainErrorModel.of(stated or StatedError(), relief.posting_m)
+        relief = build_relief(source)
+        error = TerrainErrorModel.make(stated or StatedError(), relief.posting_m)
         return relief if error is None else replace(relief, error_m=error.error_m)
     finally:
         source.close()
 
 
-def _edges(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
+def _locate_edges(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
     """Cell rows (height + 1) and columns (width + 1) of a window's pixel edges, fractional."""
     row, col, height, width = window
     col0, cols_per_rad, row0, rows_per_rad, _ = layer.georeference.parameters
@@ -227,7 +233,7 @@ def _edges(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatAr
     return (np.pi / 2.0 - lat) * (rows / np.pi), (lon + np.pi) * (rows / np.pi)
 
 
-def _middles(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
+def _locate_middles(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
     """Cell row and column (height, width) of a window's pixel centres, fractional; NaN for none."""
     row, col, height, width = window
     step = 2.0**layer.level
@@ -260,7 +266,7 @@ def _add_overlaps(
                     wide = min(east, c + 1.0) - max(west, float(c))
                     if wide <= SLIVER * (east - west):
                         continue
-                    _put(value, tall * wide, r, c % cols, cells)
+                    _add_height(value, tall * wide, r, c % cols, cells)
     return lowest, highest
 
 
@@ -278,12 +284,12 @@ def _add_middles(
                 continue
             lowest, highest = min(lowest, value), max(highest, value)
             r = min(max(int(np.floor(down[i, j])), 0), rows - 1)
-            _put(value, 1.0, r, int(np.floor(along[i, j])) % cols, cells)
+            _add_height(value, 1.0, r, int(np.floor(along[i, j])) % cols, cells)
     return lowest, highest
 
 
 @kernel
-def _put(height: float, weight: float, row: int, col: int, cells: Cells) -> None:
+def _add_height(height: float, weight: float, row: int, col: int, cells: Cells) -> None:
     """Add a pixel's height to one cell."""
     cells.heights[row, col] += height * weight
     cells.shares[row, col] += weight
@@ -308,7 +314,7 @@ def _join(new: Cells, kept: Cells) -> None:
 
 
 @kernel
-def _of_neighbours(
+def _average_neighbours(
     holes: IntArray, means: Float32Array, shares: Float32Array, max_heights: Float32Array
 ) -> FloatArray:
     """Mean and greatest height (holes, 2) of the eight cells around, averaged; NaN without any."""

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, IntArray
-from catalog.geometry.grid import bicubic_at, cubic_weights, sample_rows
+from catalog.geometry.grid import cubic_weights, interpolate_bicubic, sample_rows
 from catalog.geometry.kernel import kernel
-from catalog.terrain.pyramid.level_window import LevelWindows, halvings_for
+from catalog.terrain.pyramid.level_window import LevelWindows, count_halvings
 from catalog.terrain.sampling.map_nodes import Pixels
 
 # Columns averaged into one node. Beyond it (the last postings about a pole) samples are spread:
@@ -56,7 +56,7 @@ class Footprint(NamedTuple):
 
 
 @kernel
-def means_over_footprints(
+def average_footprints(
     window: Float32Array,
     pixels: Pixels,
     chosen: IntArray,
@@ -71,31 +71,31 @@ def means_over_footprints(
     rows, cols, column_scale = pixels
     per_row, per_col, row0, col0 = corner
     rows_wide, columns_wide, widest, largest_scale = footprint
-    down = samples_across(rows_wide, MAX_ROWS)
-    along = samples_across(min(largest_scale * columns_wide, widest), MAX_COLUMNS)
+    down = count_samples(rows_wide, MAX_ROWS)
+    along = count_samples(min(largest_scale * columns_wide, widest), MAX_COLUMNS)
     if down == 1 and along == 1:
         for i in chosen:
             row = (rows[i] + 0.5) * per_row - 0.5 - row0
             col = (cols[i] + 0.5) * per_col - 0.5 - col0
             # a place that the raster's projection cannot show is NaN; others lie well inside
-            value = _cubic(window, row, col) if row == row and col == col else np.nan
-            out[i] = value if value == value else bicubic_at(window, row, col)
+            value = _interpolate_cubic(window, row, col) if row == row and col == col else np.nan
+            out[i] = value if value == value else interpolate_bicubic(window, row, col)
         return
     row_weights, col_weights = np.zeros(2 * MAX_ROWS + 8), np.zeros(2 * MAX_COLUMNS + 8)
     for i in chosen:
         row = (rows[i] + 0.5) * per_row - 0.5 - row0
         col = (cols[i] + 0.5) * per_col - 0.5 - col0
         wide = min(column_scale[i] * columns_wide, widest)
-        along = samples_across(wide, MAX_COLUMNS)
+        along = count_samples(wide, MAX_COLUMNS)
         if down == 1 and along == 1:
-            out[i] = _single(window, row, col)
+            out[i] = _sample_once(window, row, col)
             continue
         if not (row == row and col == col):  # a place that the raster's projection cannot show
             out[i] = np.nan
             continue
         # samples further apart than two pixels leave pixels between them: nothing to add up
         if rows_wide > 2.0 * MAX_ROWS or wide > 2.0 * MAX_COLUMNS:
-            out[i] = _mean_of_what_is_there(window, row, col, rows_wide, wide, down, along)
+            out[i] = _average_valid(window, row, col, rows_wide, wide, down, along)
             continue
         # cubic weights of all samples of the footprint, added up: it is separable
         first_row, rows_used = add_weights(row, rows_wide, down, row_weights)
@@ -110,16 +110,16 @@ def means_over_footprints(
         ):
             total = 0.0
             for a in range(0, rows_used, 4):
-                total += _four_rows(
+                total += _sum_four_rows(
                     window, first_row + a, row_weights, a, first_col, cols_used, col_weights
                 )
         if total != total:
-            total = _mean_of_what_is_there(window, row, col, rows_wide, wide, down, along)
+            total = _average_valid(window, row, col, rows_wide, wide, down, along)
         out[i] = total
 
 
 @kernel
-def means_along_rows(
+def average_along_rows(
     window: Float32Array,
     pixels: Pixels,
     size: int,
@@ -127,7 +127,7 @@ def means_along_rows(
     footprint: Footprint,
     out: Float32Array,
 ) -> bool:
-    """`means_over_footprints` of all nodes of a map grid, size a row, at a third of its time.
+    """`average_footprints` of all nodes of a map grid, size a row, at a third of its time.
 
     The footprints of a row are as wide as that of its middle. NaN where a hole is touched. False
     where rows of nodes run across those of the window, or footprints are too large.
@@ -135,7 +135,7 @@ def means_along_rows(
     rows, cols, column_scale = pixels
     per_row, per_col, row0, col0 = corner
     rows_wide, columns_wide, widest, largest_scale = footprint
-    if samples_across(rows_wide, MAX_ROWS) > 1 or size < 2:
+    if count_samples(rows_wide, MAX_ROWS) > 1 or size < 2:
         return False
     if largest_scale * columns_wide > min(MAX_AVERAGED, widest / 4.0):
         return False
@@ -158,23 +158,23 @@ def means_along_rows(
 
 
 @kernel
-def samples_across(wide: float, most: int) -> int:
+def count_samples(wide: float, most: int) -> int:
     """Samples over a footprint some pixels wide."""
     return int(min(max(1.0, np.floor(wide + 0.5)), most))
 
 
 @kernel
-def _single(window: Float32Array, row: float, col: float) -> float:
+def _sample_once(window: Float32Array, row: float, col: float) -> float:
     """One cubic sample; bilinear beside holes and borders, NaN outside."""
     if 1.0 <= row < window.shape[0] - 2.0 and 1.0 <= col < window.shape[1] - 2.0:
-        value = _cubic(window, row, col)
+        value = _interpolate_cubic(window, row, col)
         if value == value:
             return value
-    return bicubic_at(window, row, col)
+    return interpolate_bicubic(window, row, col)
 
 
 @kernel
-def _cubic(window: Float32Array, row: float, col: float) -> float:
+def _interpolate_cubic(window: Float32Array, row: float, col: float) -> float:
     """Cubic convolution where all sixteen neighbours are inside; NaN beside a hole."""
     r, c = np.uint64(row - 1.0), np.uint64(col - 1.0)
     a, b, d, e = cubic_weights(row - np.floor(row))
@@ -209,7 +209,7 @@ def add_weights(at: float, wide: float, samples: int, out: FloatArray) -> tuple[
 
 
 @kernel
-def _four_rows(
+def _sum_four_rows(
     window: Float32Array,
     row: int,
     row_weights: FloatArray,
@@ -236,7 +236,7 @@ def _four_rows(
 
 
 @kernel
-def _mean_of_what_is_there(
+def _average_valid(
     window: Float32Array,
     row: float,
     col: float,
@@ -250,7 +250,7 @@ def _mean_of_what_is_there(
     for r in range(down):
         at_row = row + ((r + 0.5) / down - 0.5) * rows_wide
         for c in range(along):
-            value = bicubic_at(window, at_row, col + ((c + 0.5) / along - 0.5) * wide)
+            value = interpolate_bicubic(window, at_row, col + ((c + 0.5) / along - 0.5) * wide)
             if value == value:
                 total += value
                 valid += 1
@@ -279,36 +279,40 @@ def sample_level(
         pixels = pixels._replace(col=pixels.col - np.floor((pixels.col + 0.5) / period) * period)
     if not out.size:
         return out
-    extent = _whole_extent(*pixels)
-    if size and _inside(base, extent) and _along_rows(base, pixels, extent, rows_wide, size, out):
+    extent = _measure_extent(*pixels)
+    if (
+        size
+        and _is_inside(base, extent)
+        and _sample_along_rows(base, pixels, extent, rows_wide, size, out)
+    ):
         chosen = np.flatnonzero(np.isnan(out))  # beside holes
         if not chosen.size:
             return out
-        extent = _extent(*pixels, chosen)
-    elif _inside(base, extent):
+        extent = _measure_chosen_extent(*pixels, chosen)
+    elif _is_inside(base, extent):
         chosen = np.arange(out.size)
     else:
-        chosen = np.flatnonzero(_inside_each(base, pixels, rows_wide))
+        chosen = np.flatnonzero(_mark_inside(base, pixels, rows_wide))
         if not chosen.size:
             return out
-        extent = _extent(*pixels, chosen)
-    fewest, most = (halvings_for(wide * rows_wide, base.most_halvings) for wide in extent[4:])
+        extent = _measure_chosen_extent(*pixels, chosen)
+    fewest, most = (count_halvings(wide * rows_wide, base.most_halvings) for wide in extent[4:])
     if fewest == most:
-        _in_pieces(base.halved(fewest), pixels, chosen, extent, rows_wide, out)
+        _sample_in_pieces(base.get_halved(fewest), pixels, chosen, extent, rows_wide, out)
         return out
-    halvings = _halvings(pixels.column_scale, rows_wide, base.most_halvings)
+    halvings = _count_halvings(pixels.column_scale, rows_wide, base.most_halvings)
     for count in range(fewest, most + 1):
         those = chosen[halvings[chosen] == count]
         if those.size:
-            extent = _extent(*pixels, those)
-            _in_pieces(base.halved(count), pixels, those, extent, rows_wide, out)
+            extent = _measure_chosen_extent(*pixels, those)
+            _sample_in_pieces(base.get_halved(count), pixels, those, extent, rows_wide, out)
     return out
 
 
 Extent = tuple[float, float, float, float, float, float]
 
 
-def _inside(base: LevelWindows, extent: Extent) -> bool:
+def _is_inside(base: LevelWindows, extent: Extent) -> bool:
     """Whether all points lie in the raster."""
     rows, cols = base.raster_shape
     top, bottom, left, right, _, _ = extent
@@ -317,7 +321,7 @@ def _inside(base: LevelWindows, extent: Extent) -> bool:
     return base.wraps or (left >= -0.5 and right <= cols - 0.5)
 
 
-def _inside_each(base: LevelWindows, pixels: Pixels, rows_wide: float) -> BoolArray:
+def _mark_inside(base: LevelWindows, pixels: Pixels, rows_wide: float) -> BoolArray:
     rows, cols = base.raster_shape
     inside = (pixels.row >= -0.5) & (pixels.row <= rows - 0.5)
     if not base.wraps:
@@ -326,7 +330,7 @@ def _inside_each(base: LevelWindows, pixels: Pixels, rows_wide: float) -> BoolAr
     return inside
 
 
-def _along_rows(
+def _sample_along_rows(
     base: LevelWindows,
     pixels: Pixels,
     extent: Extent,
@@ -335,16 +339,16 @@ def _along_rows(
     out: Float32Array,
 ) -> bool:
     """Sample all nodes of a map grid, row by row; False where they must be taken one by one."""
-    level = base.halved(int(halvings_for(extent[4] * rows_wide, base.most_halvings)))
-    row0, col0, height, width = _bounds(level, rows_wide, extent)
+    level = base.get_halved(int(count_halvings(extent[4] * rows_wide, base.most_halvings)))
+    row0, col0, height, width = _bound_window(level, rows_wide, extent)
     if height * width > MAX_WINDOW:
         return False
-    corner, footprint = _through(level, rows_wide, extent, row0, col0)
+    corner, footprint = _locate_window(level, rows_wide, extent, row0, col0)
     window = level.window(row0, col0, height, width)
-    return bool(means_along_rows(window, pixels, size, corner, footprint, out))
+    return bool(average_along_rows(window, pixels, size, corner, footprint, out))
 
 
-def _through(
+def _locate_window(
     level: LevelWindows, rows_wide: float, extent: Extent, row0: int, col0: int
 ) -> tuple[Corner, Footprint]:
     """Locate a window from (row0, col0) on in the raster; also the size of footprints in it."""
@@ -355,7 +359,7 @@ def _through(
     )
 
 
-def _in_pieces(
+def _sample_in_pieces(
     level: LevelWindows,
     pixels: Pixels,
     chosen: IntArray,
@@ -364,20 +368,22 @@ def _in_pieces(
     out: Float32Array,
 ) -> None:
     """Sample through one window, or through one for each part of the raster that is touched."""
-    _, _, height, width = _bounds(level, rows_wide, extent)
+    _, _, height, width = _bound_window(level, rows_wide, extent)
     if height * width <= MAX_WINDOW:
-        _through_window(level, pixels, chosen, extent, rows_wide, out)
+        _sample_window(level, pixels, chosen, extent, rows_wide, out)
         return
     row = pixels.row[chosen] / (PIECE * level.scale)
     col = pixels.col[chosen] / (PIECE * level.scale * level.squeeze)
     key = np.floor(row) * 1e6 + np.floor(col)
     order = np.argsort(key, kind="stable")
     for those in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
-        extent = _extent(*pixels, chosen[those])
-        _through_window(level, pixels, chosen[those], extent, rows_wide, out)
+        extent = _measure_chosen_extent(*pixels, chosen[those])
+        _sample_window(level, pixels, chosen[those], extent, rows_wide, out)
 
 
-def _bounds(level: LevelWindows, rows_wide: float, extent: Extent) -> tuple[int, int, int, int]:
+def _bound_window(
+    level: LevelWindows, rows_wide: float, extent: Extent
+) -> tuple[int, int, int, int]:
     """First row, first column, height and width of the window that all footprints need."""
     top, bottom, left, right, _, column_scale = extent
     along = level.scale * level.squeeze
@@ -390,7 +396,7 @@ def _bounds(level: LevelWindows, rows_wide: float, extent: Extent) -> tuple[int,
     return row0, col0, row1 - row0 + 1, col1 - col0 + 1
 
 
-def _through_window(
+def _sample_window(
     level: LevelWindows,
     pixels: Pixels,
     chosen: IntArray,
@@ -398,18 +404,18 @@ def _through_window(
     rows_wide: float,
     out: Float32Array,
 ) -> None:
-    row0, col0, height, width = _bounds(level, rows_wide, extent)
-    means_over_footprints(
+    row0, col0, height, width = _bound_window(level, rows_wide, extent)
+    average_footprints(
         level.window(row0, col0, height, width),
         pixels,
         chosen,
-        *_through(level, rows_wide, extent, row0, col0),
+        *_locate_window(level, rows_wide, extent, row0, col0),
         out,
     )
 
 
 @kernel
-def _range(values: FloatArray) -> tuple[float, float]:
+def _find_range(values: FloatArray) -> tuple[float, float]:
     """Least and greatest of values (n); NaN does not count, but for a first one."""
     lanes = 64  # side by side, so that comparisons need not wait for each other
     low, high = np.full(lanes, values[0]), np.full(lanes, values[0])
@@ -422,13 +428,15 @@ def _range(values: FloatArray) -> tuple[float, float]:
 
 
 @kernel
-def _whole_extent(row: FloatArray, col: FloatArray, column_scale: FloatArray) -> Extent:
-    """`_extent` of all points."""
-    return (*_range(row), *_range(col), *_range(column_scale))
+def _measure_extent(row: FloatArray, col: FloatArray, column_scale: FloatArray) -> Extent:
+    """`_measure_chosen_extent` of all points."""
+    return (*_find_range(row), *_find_range(col), *_find_range(column_scale))
 
 
 @kernel
-def _extent(row: FloatArray, col: FloatArray, column_scale: FloatArray, chosen: IntArray) -> Extent:
+def _measure_chosen_extent(
+    row: FloatArray, col: FloatArray, column_scale: FloatArray, chosen: IntArray
+) -> Extent:
     """Least and largest row, column and column scale of the chosen points."""
     i = chosen[0]
     top, bottom = row[i], row[i]
@@ -442,9 +450,9 @@ def _extent(row: FloatArray, col: FloatArray, column_scale: FloatArray, chosen: 
 
 
 @kernel
-def _halvings(column_scale: FloatArray, rows_wide: float, most: int) -> Int8Array:
+def _count_halvings(column_scale: FloatArray, rows_wide: float, most: int) -> Int8Array:
     """Count the halvings of columns for each point."""
     out = np.empty(column_scale.size, np.int8)
     for i in range(column_scale.size):
-        out[i] = halvings_for(column_scale[i] * rows_wide, most)
+        out[i] = count_halvings(column_scale[i] * rows_wide, most)
     return out

@@ -12,15 +12,15 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.geometry.cells import Graticule, Part
-from catalog.geometry.kernel import bare_kernel, kernel
-from catalog.terrain.pyramid.level_window import LevelWindows, halvings_for
+from catalog.geometry.kernel import inplace_kernel, kernel
+from catalog.terrain.pyramid.level_window import LevelWindows, count_halvings
 from catalog.terrain.pyramid.pyramid import HeightPyramid
-from catalog.terrain.sampling.footprint import MAX_COLUMNS, MAX_ROWS, add_weights, samples_across
+from catalog.terrain.sampling.footprint import MAX_COLUMNS, MAX_ROWS, add_weights, count_samples
 
 BLOCK = 128  # nodes a side: points are read by whole blocks, for any part
 
 
-def heights_by_blocks(
+def sample_by_blocks(
     heights: Callable[[FloatArray, FloatArray, float], Float32Array],
     graticule: Graticule,
     part: Part,
@@ -45,7 +45,7 @@ def heights_by_blocks(
     return out
 
 
-def heights_by_weights(
+def sample_by_weights(
     base: LevelWindows, pyramid: HeightPyramid, graticule: Graticule, part: Part, rows_wide: float
 ) -> Float32Array:
     """Heights (height, width) m of a part from a level of a cylindrical raster, NaN for none.
@@ -56,14 +56,14 @@ def heights_by_weights(
     georeference = pyramid.source.georeference
     col0, cols_per_rad, row0, rows_per_rad, period = georeference.parameters
     wide = period / (graticule.columns * base.scale)
-    level = base.halved(int(halvings_for(wide, base.most_halvings)))
+    level = base.get_halved(int(count_halvings(wide, base.most_halvings)))
     row = (row0 + rows_per_rad * graticule.lat(part.rows) + 0.5) / level.scale - 0.5
     col = col0 + cols_per_rad * georeference.longitude_sign * graticule.lon(part.cols)
     # of that turn which the raster shows
     col -= np.floor((col - (georeference.shape[1] - 1) / 2.0) / period + 0.5) * period
     col = (col + 0.5) / (level.scale * level.squeeze) - 0.5
-    first_row, row_weights = _weights(row, rows_wide, MAX_ROWS)
-    first_col, col_weights = _weights(col, wide / level.squeeze, MAX_COLUMNS)
+    first_row, row_weights = _make_weights(row, rows_wide, MAX_ROWS)
+    first_col, col_weights = _make_weights(col, wide / level.squeeze, MAX_COLUMNS)
     out = np.empty((part.height, part.width), np.float32)
     # neighbours in the part may be a turn apart in the raster
     most = 4.0 * wide / level.squeeze + 4.0
@@ -80,9 +80,9 @@ def heights_by_weights(
 
 
 @kernel
-def _weights(at: FloatArray, wide: float, most: int) -> tuple[IntArray, Float32Array]:
+def _make_weights(at: FloatArray, wide: float, most: int) -> tuple[IntArray, Float32Array]:
     """First pixel and weights (n, taps) of footprints about places, `wide` pixels wide."""
-    samples = samples_across(wide, most)
+    samples = count_samples(wide, most)
     taps = int(np.ceil(wide)) + 5
     line = np.zeros(taps + 8)
     first = np.empty(at.size, np.int64)
@@ -96,7 +96,7 @@ def _weights(at: FloatArray, wide: float, most: int) -> tuple[IntArray, Float32A
     return first, out[:, :used].copy()
 
 
-@bare_kernel
+@inplace_kernel
 def _combine(
     window: Float32Array,
     first_row: IntArray,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import FloatArray, IntArray
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.kernel import inplace_kernel, kernel
 from catalog.geometry.latlon import body_from_local
 from catalog.geometry.projection import Stereographic
 from catalog.terrain.dem.georeference import CYLINDRICAL, POLAR, Georeference
@@ -57,16 +57,16 @@ class Cylinder(NamedTuple):
     ratio: float
 
 
-def pixels_of_points(place: Georeference, lat: FloatArray, lon: FloatArray) -> Pixels:
+def locate_points(place: Georeference, lat: FloatArray, lon: FloatArray) -> Pixels:
     """Places of points (n), rad."""
     col, row = place.pixel_from_latlon(lat, lon)
     if place.wraps and col.size:
         # continuous about the points, so that their window is small across ±180° too
         col = col - np.floor((col - col[0]) / place.period + 0.5) * place.period
-    return _about_the_raster(place, Pixels(row, col, place.columns_per_posting(1.0, lat)))
+    return _shift_to_raster(place, Pixels(row, col, place.columns_per_posting(1.0, lat)))
 
 
-def pixels_of_grid(
+def locate_grid(
     place: Georeference, projection: Stereographic, posting_m: float, size: int
 ) -> Pixels:
     """Places of the nodes of a centred map grid (size, size), row by row from the north-west."""
@@ -80,28 +80,30 @@ def pixels_of_grid(
         col0, cols_per_rad, row0, rows_per_rad, _ = place.parameters
         cols_per_rad *= place.longitude_sign
         middle = col0 + cols_per_rad * projection.lon
-        step = _step(projection, posting_m, size)
+        step = _choose_step(projection, posting_m, size)
         # one before the first node, two beyond the last
         first, n = (-step, (size - 1) // step + 4) if step > 1 else (0, size)
         nodes = np.empty((3, n, n))
         cylinder = Cylinder(middle, cols_per_rad, row0, rows_per_rad, ratio)
-        _cylindrical(m, size, spacing, first, step, cylinder, nodes)
+        _locate_cylindrical(m, size, spacing, first, step, cylinder, nodes)
         if step > 1:
-            _between(nodes, size, _cubic_weights(step), np.empty(nodes.shape[1]), places)
+            _interpolate_between(
+                nodes, size, _make_cubic_weights(step), np.empty(nodes.shape[1]), places
+            )
         else:
             row, col, column_scale = nodes.reshape(3, -1)
     elif place.kind == POLAR:
         sign = place.longitude_sign
-        _polar(m, size, spacing, projection.lon * sign, sign, parameters, row, col)
+        _locate_polar(m, size, spacing, projection.lon * sign, sign, parameters, row, col)
         column_scale[:] = ratio
     else:
         offsets = (np.arange(size) - (size - 1) / 2.0) * posting_m
         lat, lon = projection.latlon(*np.meshgrid(offsets, -offsets))
-        return pixels_of_points(place, lat.ravel(), lon.ravel())
-    return _about_the_raster(place, Pixels(row, col, column_scale))
+        return locate_points(place, lat.ravel(), lon.ravel())
+    return _shift_to_raster(place, Pixels(row, col, column_scale))
 
 
-def _about_the_raster(place: Georeference, pixels: Pixels) -> Pixels:
+def _shift_to_raster(place: Georeference, pixels: Pixels) -> Pixels:
     """Columns of that turn which a raster shows, of a raster that does not show all of one."""
     period = place.period
     if not period or place.wraps:  # any turn is right where columns go on without end
@@ -111,7 +113,7 @@ def _about_the_raster(place: Georeference, pixels: Pixels) -> Pixels:
     return pixels._replace(col=col)
 
 
-def _step(projection: Stereographic, posting_m: float, size: int) -> int:
+def _choose_step(projection: Stereographic, posting_m: float, size: int) -> int:
     """Nodes from one whose place is worked out to the next; 1 about a pole and for small grids."""
     angle = posting_m / projection.radius_m
     pole = (np.pi / 2.0 - abs(projection.lat)) / angle
@@ -123,7 +125,7 @@ def _step(projection: Stereographic, posting_m: float, size: int) -> int:
 
 
 @cache
-def _cubic_weights(step: int) -> FloatArray:
+def _make_cubic_weights(step: int) -> FloatArray:
     """Weights (4, step) of four equidistant values for places between the middle two (Lagrange)."""
     t = np.arange(step) / step
     return np.stack(
@@ -137,7 +139,7 @@ def _cubic_weights(step: int) -> FloatArray:
 
 
 @kernel
-def _cylindrical(
+def _locate_cylindrical(
     m: FloatArray,
     size: int,
     spacing: float,
@@ -166,8 +168,8 @@ def _cylindrical(
             out[2, a, b] = ratio / max(across, 1e-9)
 
 
-@bare_kernel
-def _between(
+@inplace_kernel
+def _interpolate_between(
     nodes: FloatArray, size: int, weights: FloatArray, line: FloatArray, places: FloatArray
 ) -> None:
     """All nodes (3, size^2) from every `step`th (3, n, n), whose first lies one outside the grid.
@@ -197,7 +199,7 @@ def _between(
 
 
 @kernel
-def _polar(
+def _locate_polar(
     m: FloatArray,
     size: int,
     spacing: float,

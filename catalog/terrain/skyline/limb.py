@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
-from catalog.geometry.grid import bilinear
+from catalog.geometry.grid import interpolate_bilinear
 from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import unit
 from catalog.terrain.relief.relief import GlobalRelief
@@ -64,13 +64,13 @@ class LimbRelief:
         half = grid.shape[1] // 2
         tall = np.concatenate([np.roll(grid[:1], half, 1), grid, np.roll(grid[-1:], half, 1)])
         self.grid = np.ascontiguousarray(np.concatenate([tall[:, -1:], tall, tall[:, :1]], axis=1))
-        self.bounds = _bounds(crests)
+        self.bounds = _bound_heights(crests)
         self.highest_m = float(crests.max())
 
     def skyline(self, position_m: ArrayLike, axes: ArrayLike, azimuths: ArrayLike) -> Skyline:
         """The skyline from a position (3,), m, body frame.
 
-        axes      (3, 3) rows: first and second direction of azimuth, and up; see `nadir_axes`
+        axes      (3, 3) rows: first and second direction of azimuth, and up; see `make_nadir_axes`
         azimuths  (n,) rad, from the first axis towards the second
         """
         viewer = np.ascontiguousarray(position_m, dtype=np.float64)
@@ -78,18 +78,20 @@ class LimbRelief:
         values = np.empty((3, around.size))
         body = self.grid, self.bounds, self.radius_m, self.highest_m
         rows = np.ascontiguousarray(axes, dtype=np.float64)
-        _skyline(*body, float(np.linalg.norm(viewer)), rows, around, values)
+        _find_skyline(*body, float(np.linalg.norm(viewer)), rows, around, values)
         return Skyline(*values)
 
-    def sunlit(self, points: ArrayLike, sun: ArrayLike) -> BoolArray:
+    def mark_sunlit(self, points: ArrayLike, sun: ArrayLike) -> BoolArray:
         """Whether the Sun (3,), a direction, stands clear of the relief at places (n, 3), m."""
         places = np.ascontiguousarray(points, dtype=np.float64)
         lit = np.empty(len(places), np.bool_)
-        _sunlit(self.grid, self.radius_m, self.highest_m, self.posting_m, places, unit(sun), lit)
+        _mark_sunlit(
+            self.grid, self.radius_m, self.highest_m, self.posting_m, places, unit(sun), lit
+        )
         return lit
 
 
-def nadir_axes(position: ArrayLike) -> FloatArray:
+def make_nadir_axes(position: ArrayLike) -> FloatArray:
     """Rows (3, 3): two directions across the position (3,), then the position's own; unit."""
     up = unit(position)
     first = np.zeros(3)
@@ -99,7 +101,7 @@ def nadir_axes(position: ArrayLike) -> FloatArray:
     return np.stack([first, np.cross(up, first), up])
 
 
-def _bounds(grid: Float32Array) -> Float32Array:
+def _bound_heights(grid: Float32Array) -> Float32Array:
     """Highest ground within a segment about each coarse cell."""
     rows = grid.shape[0]
     count = min(BOUND_CELLS, rows)
@@ -126,12 +128,12 @@ def _bounds(grid: Float32Array) -> Float32Array:
 
 
 @kernel
-def _height(grid: Float32Array, x: float, y: float, z: float) -> float:
+def _interpolate_height(grid: Float32Array, x: float, y: float, z: float) -> float:
     """Bilinear height at a unit direction, from the grid with borders."""
     per_rad = (grid.shape[0] - 2) / np.pi
     row = (0.5 * np.pi - np.arctan2(z, np.sqrt(x * x + y * y))) * per_rad + 0.5
     col = (np.arctan2(y, x) + np.pi) * per_rad + 0.5
-    return bilinear(grid, row, col)
+    return interpolate_bilinear(grid, row, col)
 
 
 @kernel
@@ -143,7 +145,7 @@ def _bound(bounds: Float32Array, x: float, y: float, z: float) -> float:
 
 
 @kernel
-def _direction(
+def _compute_direction(
     axes: FloatArray, azimuth: tuple[float, float], up: float, along: float
 ) -> tuple[float, float, float]:
     """Unit vector, body frame, of the cosine and sine of an angle from the observer."""
@@ -156,12 +158,12 @@ def _direction(
 
 
 @kernel
-def _ground_cot(
+def _compute_ground_cot(
     outlook: _Outlook, azimuth: tuple[float, float], up: float, along: float
 ) -> tuple[float, float]:
     """`_cot` of the ground at an azimuth and its radius; up, along: cosine, sine of its angle."""
-    x, y, z = _direction(outlook.axes, azimuth, up, along)
-    radius = outlook.sphere + _height(outlook.grid, x, y, z)
+    x, y, z = _compute_direction(outlook.axes, azimuth, up, along)
+    radius = outlook.sphere + _interpolate_height(outlook.grid, x, y, z)
     return (outlook.distance - radius * up) / (radius * along), radius
 
 
@@ -183,7 +185,7 @@ class _Segments(NamedTuple):
 
 
 @kernel
-def _smallest_cot(distance: float, radius: float, edges: FloatArray) -> float:
+def _find_smallest_cot(distance: float, radius: float, edges: FloatArray) -> float:
     """Cotangent of the off-nadir angle of the highest point of a segment of ground at a radius."""
     share = radius / distance
     if share > edges[0, 1]:
@@ -219,7 +221,7 @@ def _make_segment(
 
 
 @kernel
-def _highest_of_segment(
+def _search_segment(
     outlook: _Outlook,
     azimuth: tuple[float, float],
     segment: tuple[FloatArray, FloatArray, float],
@@ -237,14 +239,14 @@ def _highest_of_segment(
             continue
         # ground is looked up only where the highest of the segment would be the skyline
         if outlook.distance - top * up <= best_cot * (top * along):
-            cot, _ = _ground_cot(outlook, azimuth, up, along)
+            cot, _ = _compute_ground_cot(outlook, azimuth, up, along)
             if cot < best_cot:
                 best_cot, best_angle = cot, angle
     return best_cot, best_angle
 
 
 @kernel
-def _refined(
+def _refine_crest(
     outlook: _Outlook, azimuth: tuple[float, float], half: float, best: tuple[float, float]
 ) -> tuple[float, float]:
     """`best` (cotangent, angle) after halvings of the step about it, from `half` (rad) on."""
@@ -253,7 +255,7 @@ def _refined(
         centre = best_angle
         for side in (-half, half):
             angle = centre + side
-            cot, _ = _ground_cot(outlook, azimuth, np.cos(angle), np.sin(angle))
+            cot, _ = _compute_ground_cot(outlook, azimuth, np.cos(angle), np.sin(angle))
             if cot < best_cot:
                 best_cot, best_angle = cot, centre + side
         half *= 0.5
@@ -261,7 +263,7 @@ def _refined(
 
 
 @kernel
-def _skyline(
+def _find_skyline(
     grid: Float32Array,
     bounds: Float32Array,
     sphere: float,
@@ -309,23 +311,23 @@ def _skyline(
                 # from here on no ground of this body reaches the skyline found
                 ahead, back = ahead and not beyond, back and beyond
                 continue
-            x, y, z = _direction(axes, azimuth, edges[1, 1], edges[1, 2])
+            x, y, z = _compute_direction(axes, azimuth, edges[1, 1], edges[1, 2])
             radius = min(sphere + _bound(bounds, x, y, z), inside)
-            if _smallest_cot(distance, radius, edges) > best:
+            if _find_smallest_cot(distance, radius, edges) > best:
                 continue
             found_before = best
             segment = edges, segments.samples[row], radius
-            best, best_angle = _highest_of_segment(outlook, azimuth, segment, (best, best_angle))
+            best, best_angle = _search_segment(outlook, azimuth, segment, (best, best_angle))
             if best < found_before:
                 highest_in = here
         likely = highest_in
-        best, best_angle = _refined(outlook, azimuth, 0.5 * step, (best, best_angle))
-        _, radius = _ground_cot(outlook, azimuth, np.cos(best_angle), np.sin(best_angle))
+        best, best_angle = _refine_crest(outlook, azimuth, 0.5 * step, (best, best_angle))
+        _, radius = _compute_ground_cot(outlook, azimuth, np.cos(best_angle), np.sin(best_angle))
         found[0, n], found[1, n], found[2, n] = np.arctan2(1.0, best), best_angle, radius
 
 
 @kernel
-def _sunlit(
+def _mark_sunlit(
     grid: Float32Array,
     sphere: float,
     highest: float,
@@ -347,7 +349,7 @@ def _sunlit(
             rising = a * sun[0] + b * sun[1] + c * sun[2] > 0.0
             if clear > highest and rising:
                 break
-            ground = _height(grid, a / radius, b / radius, c / radius)
+            ground = _interpolate_height(grid, a / radius, b / radius, c / radius)
             if clear < ground:
                 lit[n] = False
                 break

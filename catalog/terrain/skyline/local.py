@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.geometry.kernel import bare_kernel, kernel
+from catalog.geometry.kernel import inplace_kernel, kernel
 
 AZIMUTHS = 36
 # A bin covers 10 deg; its limit is the greatest at its middle and its two borders.
@@ -39,7 +39,7 @@ class Plane(NamedTuple):
 class SkylineGrids(NamedTuple):
     """Grids (levels, n, n) of heights over the tangent plane, the patch's own first.
 
-    tops         see `_tops`
+    tops         see `_find_tops`
     max_heights  (levels,) of the grids
     postings     (levels,) m
     """
@@ -51,7 +51,9 @@ class SkylineGrids(NamedTuple):
 
 
 @kernel
-def _tangent_heights(grids: Float32Array, postings: FloatArray, radius: float) -> Float32Array:
+def _compute_tangent_heights(
+    grids: Float32Array, postings: FloatArray, radius: float
+) -> Float32Array:
     """Heights over the tangent plane at the centre, of nodes whose heights are over the sphere."""
     levels, size = grids.shape[0], grids.shape[1]
     out = np.empty(grids.shape, np.float32)
@@ -67,8 +69,8 @@ def _tangent_heights(grids: Float32Array, postings: FloatArray, radius: float) -
     return out
 
 
-@bare_kernel
-def _inside(origin: float, step: float, top: float) -> tuple[float, float]:
+@inplace_kernel
+def _find_inside(origin: float, step: float, top: float) -> tuple[float, float]:
     """Range of k for which 0 <= origin + k step <= top."""
     if abs(step) < 1e-12:
         if 0.0 <= origin <= top:
@@ -78,8 +80,8 @@ def _inside(origin: float, step: float, top: float) -> tuple[float, float]:
     return min(a, b), max(a, b)
 
 
-@bare_kernel
-def _lowest(s: FloatArray, z: FloatArray, count: int, slope: float) -> int:
+@inplace_kernel
+def _find_lowest(s: FloatArray, z: FloatArray, count: int, slope: float) -> int:
     """Which of `count` points (way, height) lies lowest against a line of a slope."""
     lowest, which = np.inf, 0
     for k in range(count):
@@ -89,8 +91,8 @@ def _lowest(s: FloatArray, z: FloatArray, count: int, slope: float) -> int:
     return which
 
 
-@bare_kernel
-def _steeper(
+@inplace_kernel
+def _find_steeper(
     near_s: FloatArray,
     near_z: FloatArray,
     near: int,
@@ -119,11 +121,11 @@ def _steeper(
         if not steeper > slope:  # but for rounding
             return slope, foot
         slope = steeper
-        foot = _lowest(near_s, near_z, near, slope)
+        foot = _find_lowest(near_s, near_z, near, slope)
 
 
-@bare_kernel
-def _crossing(
+@inplace_kernel
+def _find_crossing(
     size: int, posting: float, step: float, plane: Plane
 ) -> tuple[float, float, float, float, int, int]:
     """Where a plane, in steps (m), crosses a grid.
@@ -134,15 +136,15 @@ def _crossing(
     middle = (size - 1) / 2.0
     col, row = middle + across * north / posting, middle + across * east / posting
     d_col, d_row = step * east / posting, -step * north / posting
-    low_c, high_c = _inside(col, d_col, size - 1.0)
-    low_r, high_r = _inside(row, d_row, size - 1.0)
+    low_c, high_c = _find_inside(col, d_col, size - 1.0)
+    low_r, high_r = _find_inside(row, d_row, size - 1.0)
     first = int(np.ceil(max(low_c, low_r) + 1e-9))
     last = int(np.floor(min(high_c, high_r) - 1e-9))
     return col, row, d_col, d_row, first, last
 
 
-@bare_kernel
-def _known_profile(
+@inplace_kernel
+def _sample_profile(
     grid: Float32Array,
     crossing: tuple[float, float, float, float],
     step: float,
@@ -175,7 +177,7 @@ def _known_profile(
 
 
 @kernel
-def _tops(grids: Float32Array) -> Float32Array:
+def _find_tops(grids: Float32Array) -> Float32Array:
     """Highest of the nodes that a group's points read, by the block under the group's middle.
 
     grids (levels, n, n); -inf where no node has a height. A group's points lie within half a group
@@ -201,16 +203,16 @@ def _tops(grids: Float32Array) -> Float32Array:
     return out
 
 
-@bare_kernel
-def _last_inside(x: float, step: float, top: float) -> float:
+@inplace_kernel
+def _find_last_inside(x: float, step: float, top: float) -> float:
     """The greatest k for which x + k step, with x inside, lies within 0 and top."""
     if abs(step) < 1e-12:
         return 1e9
     return (top - x) / step if step > 0.0 else -x / step
 
 
-@bare_kernel
-def _steepest_outside(
+@inplace_kernel
+def _find_steepest_outside(
     ground: SkylineGrids,
     plane: Plane,
     end: float,
@@ -228,7 +230,7 @@ def _steepest_outside(
     middle = (size - 1) / 2.0
     near_s, near_z, near = inside
     far_s, far_z = outside
-    foot = _lowest(near_s, near_z, near, slope)
+    foot = _find_lowest(near_s, near_z, near, slope)
     under = near_z[foot] - slope * near_s[foot]
     for level in range(1, ground.grids.shape[0]):
         step = ground.postings[level]
@@ -236,7 +238,9 @@ def _steepest_outside(
         # from the first step beyond the finer grid, which lies inside of this one
         # 1e-9: a point that both grids share must not, by rounding, be its own horizon
         first = int(np.floor(end / step + 1e-9)) + 1
-        reach = min(_last_inside(col, east, size - 1.0), _last_inside(row, -north, size - 1.0))
+        reach = min(
+            _find_last_inside(col, east, size - 1.0), _find_last_inside(row, -north, size - 1.0)
+        )
         last = int(np.floor(reach - 1e-9))
         end = max(end, last * step)
         # where even the grid's top stays under a line of that slope, there is nothing to look for
@@ -250,14 +254,14 @@ def _steepest_outside(
             if not ground.tops[level, i, j] - under > slope * begin * step:
                 continue
             stop, crossing = min(begin + GROUP - 1, last), (col, row, east, -north)
-            far = _known_profile(ground.grids[level], crossing, step, begin, stop, far_s, far_z)
-            slope, foot = _steeper(near_s, near_z, near, far_s, far_z, far, slope, foot)
+            far = _sample_profile(ground.grids[level], crossing, step, begin, stop, far_s, far_z)
+            slope, foot = _find_steeper(near_s, near_z, near, far_s, far_z, far, slope, foot)
             under = near_z[foot] - slope * near_s[foot]
     return slope
 
 
-@bare_kernel
-def _limits_along(
+@inplace_kernel
+def _find_limits_along(
     ground: SkylineGrids, east: float, north: float, room: FloatArray
 ) -> tuple[float, float]:
     """Tangents of the greatest elevation of outside ground towards (east, north) and away from it.
@@ -274,25 +278,27 @@ def _limits_along(
     for line in range(lines):
         across = (line - (lines - 1) / 2.0) * spacing
         plane = Plane(across, east, north)
-        col, row, d_col, d_row, first, last = _crossing(size, posting, step, plane)
+        col, row, d_col, d_row, first, last = _find_crossing(size, posting, step, plane)
         crossing = col, row, d_col, d_row
-        near = _known_profile(ground.grids[0], crossing, step, first, last, near_s, near_z)
+        near = _sample_profile(ground.grids[0], crossing, step, first, last, near_s, near_z)
         if near == 0:
             continue
         inside = near_s, near_z, near
-        towards = _steepest_outside(ground, plane, last * step, inside, outside, towards)
+        towards = _find_steepest_outside(ground, plane, last * step, inside, outside, towards)
         # the same plane, seen the other way
         for k in range(near):
             near_s[k] = -near_s[k]
         plane = Plane(-across, -east, -north)
-        behind = _steepest_outside(ground, plane, -first * step, inside, outside, behind)
+        behind = _find_steepest_outside(ground, plane, -first * step, inside, outside, behind)
     return towards, behind
 
 
 @kernel
-def _limits(heights: Float32Array, postings: FloatArray, radius: float, per_bin: int) -> FloatArray:
-    grids = _tangent_heights(heights, postings, radius)
-    tops = _tops(grids)
+def _find_limits(
+    heights: Float32Array, postings: FloatArray, radius: float, per_bin: int
+) -> FloatArray:
+    grids = _compute_tangent_heights(heights, postings, radius)
+    tops = _find_tops(grids)
     max_heights = np.empty(postings.size, np.float32)
     for level in range(postings.size):
         max_heights[level] = tops[level].max()
@@ -302,13 +308,13 @@ def _limits(heights: Float32Array, postings: FloatArray, radius: float, per_bin:
     room = np.empty((4, 2 * heights.shape[1]))
     for k in range(half):
         azimuth = math.pi * k / half
-        tangents[k], tangents[k + half] = _limits_along(
+        tangents[k], tangents[k + half] = _find_limits_along(
             ground, math.sin(azimuth), math.cos(azimuth), room
         )
     return tangents
 
 
-def skyline_limits_deg(
+def compute_skyline_limits_deg(
     levels: Sequence[tuple[Float32Array, float]], patch_level: int, radius_m: float
 ) -> FloatArray:
     """Sun elevation by azimuth above which ground outside a patch throws no shadow into it.
@@ -330,7 +336,7 @@ def skyline_limits_deg(
         return np.zeros(AZIMUTHS)
     grids = np.stack([heights for heights, _ in used]).astype(np.float32)
     postings = np.array([posting for _, posting in used], dtype=np.float64)
-    tangents = _limits(grids, postings, float(radius_m), PER_BIN)
+    tangents = _find_limits(grids, postings, float(radius_m), PER_BIN)
     angles = np.degrees(np.arctan(tangents)).reshape(AZIMUTHS, PER_BIN)
     # the border between two bins belongs to both
     middle, border = angles[:, 0], angles[:, PER_BIN // 2]

@@ -18,7 +18,7 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel, parallel_kernel
-from catalog.terrain.synthetic.fractal import join, unit
+from catalog.terrain.synthetic.fractal import join, scale_to_unit
 
 GEOMETRIC_SATURATION = 1.54  # N(> D) D^2 of the closest packing that craters of one size can show
 REACH = 2.5  # ejecta end here, in crater radii
@@ -50,7 +50,7 @@ class Population(NamedTuple):
 
 
 @kernel
-def profile(x: float, wear: float) -> float:
+def evaluate_profile(x: float, wear: float) -> float:
     """Height over rim-to-floor depth at x radii from the middle; wear 0 fresh, 1 smoothed out."""
     if x >= REACH:
         return 0.0
@@ -70,7 +70,7 @@ def profile(x: float, wear: float) -> float:
 
 
 @kernel
-def _cell_count(
+def _draw_count(
     state: np.uint64, band: int, bands: int, columns: int, smallest: float, f: float, radius: float
 ) -> int:
     """Number of craters of a cell: a Poisson draw by inversion."""
@@ -78,7 +78,7 @@ def _cell_count(
     north = -0.5 * np.pi + np.pi * (band + 1) / bands
     area = radius * radius * 2.0 * np.pi / columns * (np.sin(north) - np.sin(south))
     mean = 0.75 * f * GEOMETRIC_SATURATION / (smallest * smallest) * area
-    draw = unit(join(state, -1))
+    draw = scale_to_unit(join(state, -1))
     total = term = np.exp(-mean)
     count = 0
     while draw > total and count < 1000:
@@ -89,18 +89,20 @@ def _cell_count(
 
 
 @kernel
-def _crater(
+def _draw_crater(
     state: np.uint64, index: int, band: int, bands: int, column: int, columns: int, smallest: float
 ) -> tuple[float, float, float, float, float]:
     """Latitude, longitude, diameter, rim-to-floor depth (unit of `smallest`), wear of a crater."""
     crater_state = join(state, index)
     south = np.sin(-0.5 * np.pi + np.pi * band / bands)
     north = np.sin(-0.5 * np.pi + np.pi * (band + 1) / bands)
-    lat = np.arcsin(min(1.0, max(-1.0, south + (north - south) * unit(join(crater_state, 1)))))
-    lon = -np.pi + 2.0 * np.pi * (column + unit(join(crater_state, 2))) / columns
+    lat = np.arcsin(
+        min(1.0, max(-1.0, south + (north - south) * scale_to_unit(join(crater_state, 1))))
+    )
+    lon = -np.pi + 2.0 * np.pi * (column + scale_to_unit(join(crater_state, 2))) / columns
     # cumulative D^-2 between D and 2 D
-    diameter = smallest / np.sqrt(1.0 - 0.75 * unit(join(crater_state, 3)))
-    freshness = unit(join(crater_state, 4)) ** 2
+    diameter = smallest / np.sqrt(1.0 - 0.75 * scale_to_unit(join(crater_state, 3)))
+    freshness = scale_to_unit(join(crater_state, 4)) ** 2
     depth = diameter * (WORN_DEPTH + (FRESH_DEPTH - WORN_DEPTH) * freshness)
     return lat, lon, diameter, depth, 1.0 - freshness
 
@@ -134,16 +136,16 @@ def _gather(population: Population, box: FloatArray, table: FloatArray) -> int:
                 column = turned % columns
                 state = join(join(np.uint64(0x0C7A7E25), seed), octave)
                 state = join(join(state, band), column)
-                for index in range(_cell_count(state, band, bands, columns, 0.5 * top, f, radius)):
+                for index in range(_draw_count(state, band, bands, columns, 0.5 * top, f, radius)):
                     if count < table.shape[0]:
-                        crater = _crater(state, index, band, bands, column, columns, 0.5 * top)
+                        crater = _draw_crater(state, index, band, bands, column, columns, 0.5 * top)
                         for k in range(5):
                             table[count, k] = crater[k]
                     count += 1
     return count
 
 
-def crater_table(
+def make_crater_table(
     population: Population, south: float, west: float, north: float, width: float
 ) -> FloatArray:
     """The craters that can touch a box of latitudes and longitudes.
@@ -158,7 +160,7 @@ def crater_table(
 
 
 @kernel
-def crater_heights_at(population: Population, lat: FloatArray, lon: FloatArray) -> FloatArray:
+def sum_crater_heights(population: Population, lat: FloatArray, lon: FloatArray) -> FloatArray:
     """Summed crater heights at single points (n,), rad."""
     out = np.zeros(lat.size)
     table = np.empty((4096, 5))
@@ -176,12 +178,12 @@ def crater_heights_at(population: Population, lat: FloatArray, lon: FloatArray) 
             h = a * a + np.cos(lat[i]) * np.cos(table[k, LAT]) * b * b
             x = 2.0 * population.radius_m * np.sqrt(h) / (0.5 * table[k, DIAMETER])
             if x < REACH:
-                out[i] += table[k, DEPTH] * profile(x, table[k, WEAR])
+                out[i] += table[k, DEPTH] * evaluate_profile(x, table[k, WEAR])
     return out
 
 
 @parallel_kernel
-def stamp(
+def add_craters(
     out: Float32Array,
     row: FloatArray,
     col: FloatArray,
@@ -221,5 +223,5 @@ def stamp(
                             x = (j - col[k] + (q + 0.5) / n - 0.5) * step_x[i] * inverse
                             square = x * x + y * y
                             if square < REACH * REACH:
-                                total += profile(np.sqrt(square), table[k, WEAR])
+                                total += evaluate_profile(np.sqrt(square), table[k, WEAR])
                     out[i, j] += np.float32(table[k, DEPTH] * total / (n * n))

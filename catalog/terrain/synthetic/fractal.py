@@ -35,7 +35,7 @@ def join(state: np.uint64, number: int) -> np.uint64:
 
 
 @kernel
-def unit(state: np.uint64) -> float:
+def scale_to_unit(state: np.uint64) -> float:
     """The state's number in [0, 1)."""
     return float(state >> _S11) * _TO_UNIT
 
@@ -53,7 +53,9 @@ _R = np.uint64(0x165667B19E3779F9)
 
 
 @kernel
-def _corner(state: np.uint64, i: int, j: int, k: int, x: float, y: float, z: float) -> float:
+def _evaluate_corner(
+    state: np.uint64, i: int, j: int, k: int, x: float, y: float, z: float
+) -> float:
     """Product of a lattice corner's random gradient with the way from the corner."""
     h = mix(state ^ (np.uint64(i) * _P + np.uint64(j) * _Q + np.uint64(k) * _R))
     gx = float(h & _MASK) * _TO_SIGNED - 1.0
@@ -63,7 +65,7 @@ def _corner(state: np.uint64, i: int, j: int, k: int, x: float, y: float, z: flo
 
 
 @kernel
-def noise(state: np.uint64, x: float, y: float, z: float) -> float:
+def evaluate_noise(state: np.uint64, x: float, y: float, z: float) -> float:
     """Gradient noise at a point, lattice spacing 1."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     x, y, z = x - i, y - j, z - k
@@ -71,14 +73,14 @@ def noise(state: np.uint64, x: float, y: float, z: float) -> float:
     u = x * x * x * (x * (x * 6.0 - 15.0) + 10.0)
     v = y * y * y * (y * (y * 6.0 - 15.0) + 10.0)
     w = z * z * z * (z * (z * 6.0 - 15.0) + 10.0)
-    a = _corner(state, i, j, k, x, y, z)
-    a += u * (_corner(state, i + 1, j, k, x - 1.0, y, z) - a)
-    b = _corner(state, i, j + 1, k, x, y - 1.0, z)
-    b += u * (_corner(state, i + 1, j + 1, k, x - 1.0, y - 1.0, z) - b)
-    c = _corner(state, i, j, k + 1, x, y, z - 1.0)
-    c += u * (_corner(state, i + 1, j, k + 1, x - 1.0, y, z - 1.0) - c)
-    d = _corner(state, i, j + 1, k + 1, x, y - 1.0, z - 1.0)
-    d += u * (_corner(state, i + 1, j + 1, k + 1, x - 1.0, y - 1.0, z - 1.0) - d)
+    a = _evaluate_corner(state, i, j, k, x, y, z)
+    a += u * (_evaluate_corner(state, i + 1, j, k, x - 1.0, y, z) - a)
+    b = _evaluate_corner(state, i, j + 1, k, x, y - 1.0, z)
+    b += u * (_evaluate_corner(state, i + 1, j + 1, k, x - 1.0, y - 1.0, z) - b)
+    c = _evaluate_corner(state, i, j, k + 1, x, y, z - 1.0)
+    c += u * (_evaluate_corner(state, i + 1, j, k + 1, x - 1.0, y, z - 1.0) - c)
+    d = _evaluate_corner(state, i, j + 1, k + 1, x, y - 1.0, z - 1.0)
+    d += u * (_evaluate_corner(state, i + 1, j + 1, k + 1, x - 1.0, y - 1.0, z - 1.0) - d)
     a += v * (b - a)
     c += v * (d - c)
     return a + w * (c - a)
@@ -97,7 +99,7 @@ class Octaves(NamedTuple):
     radius: float
 
 
-def resolved(octaves: Octaves, posting_m: float) -> Octaves:
+def select_resolved(octaves: Octaves, posting_m: float) -> Octaves:
     """The octaves that a grid can show, lowered by the averaging over its cells.
 
     A mean over a square of side p lowers a wave of length L by about exp(-(pi p / L)^2 / 6).
@@ -110,21 +112,23 @@ def resolved(octaves: Octaves, posting_m: float) -> Octaves:
 
 
 @kernel
-def octave_state(seed: int, octave: int) -> np.uint64:
+def make_octave_state(seed: int, octave: int) -> np.uint64:
     """The noise's state for an octave of a seed."""
     return join(join(np.uint64(0xF2AC7A1), seed), octave)
 
 
 @kernel
-def noise_at(octaves: Octaves, directions: FloatArray) -> FloatArray:
+def sum_noise(octaves: Octaves, directions: FloatArray) -> FloatArray:
     """Summed octaves (n,), m, at unit directions (n, 3)."""
     out = np.zeros(directions.shape[0])
     for octave in range(octaves.spacing.size):
-        state = octave_state(octaves.seed, octave)
+        state = make_octave_state(octaves.seed, octave)
         scale = octaves.radius / octaves.spacing[octave]
         for i in range(out.size):
             x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-            out[i] += octaves.amplitude[octave] * noise(state, x * scale, y * scale, z * scale)
+            out[i] += octaves.amplitude[octave] * evaluate_noise(
+                state, x * scale, y * scale, z * scale
+            )
     return out
 
 
@@ -135,12 +139,12 @@ def add_noise_window(out: Float32Array, octaves: Octaves, lat: FloatArray, lon: 
     for i in numba.prange(out.shape[0]):
         cos_lat, sin_lat = np.cos(lat[i]), np.sin(lat[i])
         for octave in range(octaves.spacing.size):
-            state = octave_state(octaves.seed, octave)
+            state = make_octave_state(octaves.seed, octave)
             scale = octaves.radius / octaves.spacing[octave]
             z = sin_lat * scale
             for j in range(out.shape[1]):
                 x, y = cos_lat * cos_lon[j] * scale, cos_lat * sin_lon[j] * scale
-                out[i, j] += np.float32(octaves.amplitude[octave] * noise(state, x, y, z))
+                out[i, j] += np.float32(octaves.amplitude[octave] * evaluate_noise(state, x, y, z))
 
 
 @parallel_kernel
@@ -157,11 +161,11 @@ def add_noise_turned(
     for i in numba.prange(out.shape[0]):
         c, z = np.cos(lat[i]), np.sin(lat[i])
         for octave in range(octaves.spacing.size):
-            state = octave_state(octaves.seed, octave)
+            state = make_octave_state(octaves.seed, octave)
             scale = octaves.radius / octaves.spacing[octave]
             for j in range(out.shape[1]):
                 x, y = c * cos_lon[j], c * sin_lon[j]
                 p = (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z) * scale
                 q = (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z) * scale
                 r = (m[2, 0] * x + m[2, 1] * y + m[2, 2] * z) * scale
-                out[i, j] += np.float32(octaves.amplitude[octave] * noise(state, p, q, r))
+                out[i, j] += np.float32(octaves.amplitude[octave] * evaluate_noise(state, p, q, r))

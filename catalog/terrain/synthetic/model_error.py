@@ -30,7 +30,7 @@ SLOPE_REACH_M = 6000.0  # standard deviation of the neighbourhood whose rms slop
 STREAM = 1 << 40  # keeps the noise apart from that of relief with the same seed
 
 
-def octaves_of(
+def fit_octaves(
     spectrum: ErrorSpectrum, seed: int, smallest_m: float, radius_m: float
 ) -> fractal.Octaves:
     """Noise with a spectrum, down to a smallest lattice spacing."""
@@ -42,8 +42,8 @@ def octaves_of(
     fine = first / 2.0 ** np.arange(count)
     # the fine ones stand in a fixed proportion, as relief of a power law does
     shape = (fine / fine[0]) ** HURST
-    fine_power = (box_rms(boxes, fine) ** 2 @ shape**2)[:, None]
-    parts = np.concatenate([fine_power, box_rms(boxes, coarse) ** 2], axis=1)
+    fine_power = (interpolate_box_rms(boxes, fine) ** 2 @ shape**2)[:, None]
+    parts = np.concatenate([fine_power, interpolate_box_rms(boxes, coarse) ** 2], axis=1)
     # between shares of the variance and metres: small boxes, whose error is large, count more
     weights = np.array(spectrum.rms_m) ** -1.0
     power, _ = nnls(parts * weights[:, None], np.array(spectrum.rms_m) ** 2 * weights)
@@ -53,7 +53,7 @@ def octaves_of(
     return fractal.Octaves(seed + STREAM, spacing[held], amplitude[held], radius_m)
 
 
-def box_rms(boxes_m: FloatArray, spacing_m: FloatArray) -> FloatArray:
+def interpolate_box_rms(boxes_m: FloatArray, spacing_m: FloatArray) -> FloatArray:
     """Rms (boxes, octaves) of means over squares of octaves of amplitude 1."""
     sides = boxes_m[:, None] / spacing_m
     inner = np.interp(sides, BOX_SIDES, BOX_RMS)
@@ -62,7 +62,7 @@ def box_rms(boxes_m: FloatArray, spacing_m: FloatArray) -> FloatArray:
     return rms
 
 
-def rms_slope(heights: Float32Array, row_m: float, column_m: ArrayLike) -> Float32Array:
+def map_rms_slope(heights: Float32Array, row_m: float, column_m: ArrayLike) -> Float32Array:
     """Rms slope about each node of a grid (rows, cols).
 
     row_m, column_m  distance of neighbouring rows; of columns, one for all or one a row
@@ -91,8 +91,8 @@ class SlopeMap:
     """
 
     @classmethod
-    def of_globe(cls, heights: Float32Array, radius_m: float) -> "SlopeMap":
-        """Slopes of a body; heights (n, 2n) as `ground.whole_sphere` takes them."""
+    def measure_globe(cls, heights: Float32Array, radius_m: float) -> "SlopeMap":
+        """Slopes of a body; heights (n, 2n) as `ground.make_whole_sphere` takes them."""
         rows, cols = heights.shape
         block = max(1, round(SLOPE_BASE_M * rows / (np.pi * radius_m)))
         while rows % block or cols % block:
@@ -104,7 +104,7 @@ class SlopeMap:
         # a few columns from the other side, so that the seam does not show
         m = min(8, mean.shape[1])
         wide = np.concatenate([mean[:, -m:], mean, mean[:, :m]], axis=1)
-        slopes = rms_slope(wide, step * radius_m, step * radius_m * np.cos(lat))
+        slopes = map_rms_slope(wide, step * radius_m, step * radius_m * np.cos(lat))
         inner = np.ascontiguousarray(slopes[:, m - 2 : slopes.shape[1] - m + 2])
         return cls(inner, float(lat[0]), -1.5 * step, step, step)
 
@@ -114,7 +114,7 @@ class SlopeMap:
     step_lat: float
     step_lon: float
 
-    def at(self, lat: FloatArray, lon: FloatArray) -> FloatArray:
+    def sample(self, lat: FloatArray, lon: FloatArray) -> FloatArray:
         """Rms slopes at places, 2-d arrays, rad."""
         rows, cols = self.slopes.shape
         middle = self.west + 0.5 * (cols - 1) * self.step_lon
@@ -142,7 +142,7 @@ class ModelError:
 
     @cached_property
     def _octaves(self) -> fractal.Octaves:
-        return octaves_of(self.spectrum, self.seed, self.smallest_m, self.radius_m)
+        return fit_octaves(self.spectrum, self.seed, self.smallest_m, self.radius_m)
 
     def window(
         self, north: float, west: float, step_lat: float, step_lon: float, rows: int, cols: int
@@ -155,9 +155,9 @@ class ModelError:
         lat = north - step_lat * np.arange(rows, dtype=np.float64)
         lon = west + step_lon * np.arange(cols, dtype=np.float64)
         out = np.zeros((rows, cols), np.float32)
-        noise = fractal.resolved(self._octaves, self.radius_m * step_lat)
+        noise = fractal.select_resolved(self._octaves, self.radius_m * step_lat)
         fractal.add_noise_window(out, noise, lat, lon)
-        return self._scaled(out, *np.meshgrid(lat, lon, indexing="ij"))
+        return self._scale_by_slope(out, *np.meshgrid(lat, lon, indexing="ij"))
 
     def turned_window(self, body_from_grid: FloatArray, grid: Lattice) -> Float32Array:
         """Heights to add (rows, cols), m, on a grid in a turned frame.
@@ -166,17 +166,19 @@ class ModelError:
         """
         lat, lon = grid.lat, grid.lon
         out = np.zeros((grid.rows, grid.cols), np.float32)
-        noise = fractal.resolved(self._octaves, self.radius_m * grid.step)
+        noise = fractal.select_resolved(self._octaves, self.radius_m * grid.step)
         fractal.add_noise_turned(out, noise, lat, lon, body_from_grid)
         for top in range(0, grid.rows, 256):  # places of all nodes at once would be gigabytes
             part = slice(top, top + 256)
             x = xyz_from_latlon(lat[part, None], lon[None, :], 1.0) @ body_from_grid.T
             places = np.arcsin(np.clip(x[..., 2], -1.0, 1.0)), np.arctan2(x[..., 1], x[..., 0])
-            out[part] = self._scaled(out[part], *places)
+            out[part] = self._scale_by_slope(out[part], *places)
         return out
 
-    def _scaled(self, noise: Float32Array, lat: FloatArray, lon: FloatArray) -> Float32Array:
-        scaled: Float32Array = (noise * self.spectrum.factor(self.slopes.at(lat, lon))).astype(
+    def _scale_by_slope(
+        self, noise: Float32Array, lat: FloatArray, lon: FloatArray
+    ) -> Float32Array:
+        scaled: Float32Array = (noise * self.spectrum.factor(self.slopes.sample(lat, lon))).astype(
             np.float32
         )
         return scaled

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.latlon import Lattice, wrap_longitude, xyz_from_latlon
-from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.projection import Stereographic, make_node_grid
 from catalog.terrain.synthetic import craters, fractal
 
 # Craters below this share of a node's cell are left out: a crater holds no net height, and their
@@ -76,8 +76,8 @@ class SyntheticRelief:
         """Heights to add at points, microseconds each; lat, lon (...) rad; returns (...) m."""
         lat, lon = np.broadcast_arrays(np.asarray(lat, np.float64), wrap_longitude(lon))
         flat = np.ascontiguousarray(lat).ravel(), np.ascontiguousarray(lon).ravel()
-        total = craters.crater_heights_at(self._population(self._octaves), *flat)
-        total += fractal.noise_at(self._noise, xyz_from_latlon(*flat, 1.0))
+        total = craters.sum_crater_heights(self._make_population(self._octaves), *flat)
+        total += fractal.sum_noise(self._noise, xyz_from_latlon(*flat, 1.0))
         return total.reshape(lat.shape)
 
     def window(
@@ -95,14 +95,14 @@ class SyntheticRelief:
         lat = north - step_lat * np.arange(rows, dtype=np.float64)
         lon = west + step_lon * np.arange(cols, dtype=np.float64)
         posting = self.radius_m * step_lat
-        fractal.add_noise_window(out, self._resolved(posting), lat, lon)
-        table = self._craters(posting, lat[-1], west, lat[0], step_lon * (cols - 1))
+        fractal.add_noise_window(out, self._select_resolved(posting), lat, lon)
+        table = self._make_craters(posting, lat[-1], west, lat[0], step_lon * (cols - 1))
         row = (north - table[:, craters.LAT]) / step_lat
         # a crater's longitude is brought next to the window's middle, so that ±180° is no border
         middle = west + 0.5 * step_lon * (cols - 1)
         col = (wrap_longitude(table[:, craters.LON] - middle) + middle - west) / step_lon
         step_x = self.radius_m * np.cos(lat) * step_lon
-        craters.stamp(out, row, col, table, np.full(rows, posting), step_x)
+        craters.add_craters(out, row, col, table, np.full(rows, posting), step_x)
         return out
 
     def turned_window(self, body_from_grid: FloatArray, grid: Lattice) -> Float32Array:
@@ -116,14 +116,14 @@ class SyntheticRelief:
         rows, cols, step, lat, lon = grid.rows, grid.cols, grid.step, grid.lat, grid.lon
         out = np.zeros((rows, cols), np.float32)
         posting = self.radius_m * step
-        noise = self._resolved(posting)
+        noise = self._select_resolved(posting)
         if noise.spacing.size:
             fractal.add_noise_turned(out, noise, lat, lon, body_from_grid)
-        octaves = min(self._octaves, self._octaves_above(posting))
+        octaves = min(self._octaves, self._count_octaves_above(posting))
         if octaves < 1:
             return out
-        table = craters.crater_table(
-            self._population(octaves), *_body_box(body_from_grid, lat, lon)
+        table = craters.make_crater_table(
+            self._make_population(octaves), *_bound_body_box(body_from_grid, lat, lon)
         )
         directions = (
             xyz_from_latlon(table[:, craters.LAT], table[:, craters.LON], 1.0) @ body_from_grid
@@ -140,22 +140,22 @@ class SyntheticRelief:
         # a crater at the grid's west end also reaches over its east end, and the other way round
         for shift in (0.0, -turn, turn):
             seen = near & (col + shift > -wide) & (col + shift < cols + wide)
-            craters.stamp(out, row[seen], col[seen] + shift, table[seen], step_y, step_x)
+            craters.add_craters(out, row[seen], col[seen] + shift, table[seen], step_y, step_x)
         return out
 
-    def local(self, projection: Stereographic, posting_m: float, size: int) -> Float32Array:
+    def sample_local(self, projection: Stereographic, posting_m: float, size: int) -> Float32Array:
         """Heights to add on a map grid (size, size), float32 m, row 0 north: means over a cell."""
         out = np.zeros((size, size), np.float32)
-        x, y = node_grid(size, posting_m)
+        x, y = make_node_grid(size, posting_m)
         lat, lon = projection.latlon(x, y)
         directions = xyz_from_latlon(lat.ravel(), lon.ravel(), 1.0)
-        noise = fractal.noise_at(self._resolved(posting_m), directions)
+        noise = fractal.sum_noise(self._select_resolved(posting_m), directions)
         out += noise.reshape(size, size).astype(np.float32)
         lon = wrap_longitude(lon - projection.lon)
         # over a pole the box is the whole turn
         over_pole = abs(projection.lat) + size * posting_m / self.radius_m >= 0.5 * np.pi
         west, width = (-np.pi, 2.0 * np.pi) if over_pole else (float(lon.min()), float(np.ptp(lon)))
-        table = self._craters(
+        table = self._make_craters(
             posting_m, float(lat.min()), west + projection.lon, float(lat.max()), width, over_pole
         )
         cx, cy = projection.xy_from_latlon(table[:, craters.LAT], table[:, craters.LON])
@@ -163,10 +163,12 @@ class SyntheticRelief:
         # the map's scale is 1 + (rho / 2R)^2: craters grow with it
         table[:, craters.DIAMETER] *= 1.0 + (cx * cx + cy * cy) / (2.0 * self.radius_m) ** 2
         steps = np.full(size, posting_m)
-        craters.stamp(out, middle - cy / posting_m, middle + cx / posting_m, table, steps, steps)
+        craters.add_craters(
+            out, middle - cy / posting_m, middle + cx / posting_m, table, steps, steps
+        )
         return out
 
-    def _craters(
+    def _make_craters(
         self,
         posting_m: float,
         south: float,
@@ -177,23 +179,23 @@ class SyntheticRelief:
     ) -> FloatArray:
         if over_pole:
             south, north = (south, 0.5 * np.pi) if north > 0.0 else (-0.5 * np.pi, north)
-        octaves = min(self._octaves, self._octaves_above(CELL_SHARE * posting_m))
-        return craters.crater_table(self._population(octaves), south, west, north, width)
+        octaves = min(self._octaves, self._count_octaves_above(CELL_SHARE * posting_m))
+        return craters.make_crater_table(self._make_population(octaves), south, west, north, width)
 
-    def _octaves_above(self, diameter_m: float) -> int:
+    def _count_octaves_above(self, diameter_m: float) -> int:
         """Octaves of craters that are all at least so large."""
         return max(0, int(np.floor(np.log2(self.largest_m / diameter_m) + 1e-6)))
 
-    def _population(self, octaves: int) -> craters.Population:
+    def _make_population(self, octaves: int) -> craters.Population:
         return craters.Population(
             self.seed, octaves, self.largest_m, self.saturation, self.radius_m
         )
 
-    def _resolved(self, posting_m: float) -> fractal.Octaves:
-        return fractal.resolved(self._noise, posting_m)
+    def _select_resolved(self, posting_m: float) -> fractal.Octaves:
+        return fractal.select_resolved(self._noise, posting_m)
 
 
-def _body_box(
+def _bound_body_box(
     body_from_grid: FloatArray, lat: FloatArray, lon: FloatArray
 ) -> tuple[float, float, float, float]:
     """South, west, north, width (rad, body frame) of a box around a grid in a turned frame."""

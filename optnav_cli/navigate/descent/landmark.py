@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
-from catalog.correlation.ncc import cropped, match_cut, quick_filtered
-from catalog.geometry.projection import node_grid
+from catalog.correlation.ncc import crop, filter_grid_quickly, match_cut
+from catalog.geometry.projection import make_node_grid
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.picture_pyramid import PicturePyramid
@@ -139,13 +139,13 @@ def match_patch(
     window = picture.sample(pixels, patch.posting_m / gsd)
     if not np.isfinite(window).all():
         return LandmarkMatch(OUTSIDE)
-    image = quick_filtered(window, MARGIN_NODES)
+    image = filter_grid_quickly(window, MARGIN_NODES)
     match = match_cut(patch.brightness, window, image, MARGIN_NODES, remainder=True)
     if not np.isfinite(match.covariance).all():
         reason = Reason(ReasonCode.SEARCH_BORDER, "peak at the border of the search")
         return LandmarkMatch(reason, score=match.score, runner_up=match.runner_up)
     # the plane is small: its middle nodes tell how pixels go with nodes
-    middle = cropped(pixels, (size - 4) // 2)
+    middle = crop(pixels, (size - 4) // 2)
     by_col = (middle[1:3, 3] - middle[1:3, 0]).mean(axis=0) / 3.0
     by_row = (middle[3, 1:3] - middle[0, 1:3]).mean(axis=0) / 3.0
     jacobian = np.stack([by_col, by_row], axis=1)
@@ -164,7 +164,7 @@ def _pixels(
     camera: Camera, pose: Pose, place_m: FloatArray, axes: FloatArray, posting_m: float, size: int
 ) -> FloatArray:
     """Pixels (size, size, 2) of the nodes of a plane about a place; row 0 is its top."""
-    x, y = node_grid(size, posting_m)
+    x, y = make_node_grid(size, posting_m)
     nodes = place_m + x[..., None] * axes[0] + y[..., None] * axes[1]
     turn = pose.turn
     pixels: FloatArray = camera.project_from_body(nodes, pose.position_m, turn)

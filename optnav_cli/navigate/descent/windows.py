@@ -22,7 +22,7 @@ from catalog.errors import DataError
 from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.latlon import latlon_from_xyz
-from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.projection import Stereographic, make_node_grid
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.expectation import FrameContext
@@ -198,7 +198,7 @@ class WindowField:
         Else each node is of the nearest patch that has it: what throws shadows need not be smooth.
         """
         projection = point.projection(self._points.radius_m)
-        places = projection.points(*node_grid(grid.size, grid.posting_m), 0.0).reshape(-1, 3)
+        places = projection.points(*make_node_grid(grid.size, grid.posting_m), 0.0).reshape(-1, 3)
         found = self._sampled(point.xyz_m, places, level, joined=joined)
         return found.reshape(grid.size, grid.size)
 

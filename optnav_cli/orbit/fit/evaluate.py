@@ -203,8 +203,8 @@ def _rows_of_path(orbit: StoredOrbit, truths: Sequence[Truth]) -> Iterator[Solut
     frame = orbit.body.catalog_frame
     for one, state, spread in zip(inside, found.states, found.covariances, strict=True):
         turn = stated_turn(orbit.ephemeris, one.tdb_s)
-        place = frame.catalog(turn @ state[:3])
-        covariance = frame.catalog_covariance(turn @ spread[:3, :3] @ turn.T)
+        place = frame.transform_to_catalog(turn @ state[:3])
+        covariance = frame.transform_covariance_to_catalog(turn @ spread[:3, :3] @ turn.T)
         yield Solution(one.file, one.utc, Fix(Method.ORBIT, place, covariance))
 
 
@@ -212,7 +212,7 @@ def errors_of(orbit: StoredOrbit, truths: Sequence[Truth]) -> OrbitErrors:
     """The orbit against places at any times from its first row on."""
     times = np.array([row.tdb_s for row in truths])
     frame = orbit.body.catalog_frame
-    places = np.array([frame.stated(row.position_m) for row in truths])
+    places = np.array([frame.transform_to_stated(row.position_m) for row in truths])
     order = np.unique(times, return_index=True)[1]
     order = order[times[order] > orbit.rows.times[0] - SAME_ROW_S]
     times, places = times[order], places[order]

@@ -13,7 +13,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from catalog.bodies.ephemeris import Ephemeris, motion_of
+from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.config import load_toml
 from catalog.errors import ConfigError, DataError
@@ -172,7 +172,7 @@ def read_orbit(folder: Path) -> StoredOrbit:
     rows = rows_of(ORBIT.read(folder / ORBIT_CSV, _row))
     if len(rows.times) == 0 or not (np.diff(rows.times) > 0.0).all():
         raise DataError(f"{folder / ORBIT_CSV}: its times are missing or not in order; fit again")
-    ephemeris = motion_of(body, [Path(name) for name in file.kernels])
+    ephemeris = load_ephemeris(body, [Path(name) for name in file.kernels])
     return StoredOrbit(folder, body, ephemeris, file, rows)
 
 
@@ -230,7 +230,7 @@ def _can_be(covariance: FloatArray) -> bool:
 def stated_turn(ephemeris: Ephemeris, tdb_s: float) -> FloatArray:
     """Rotation (3, 3) from inertial to the body frame that files state."""
     turn = ephemeris.body_from_inertial(tdb_s)
-    stated: FloatArray = ephemeris.body.catalog_frame.stated_direction(turn.T).T
+    stated: FloatArray = ephemeris.body.catalog_frame.rotate_to_stated(turn.T).T
     return stated
 
 

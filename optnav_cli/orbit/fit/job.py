@@ -13,13 +13,13 @@ import msgspec
 import numpy as np
 
 from catalog.bodies.body import Body
-from catalog.bodies.ephemeris import Ephemeris, motion_of
+from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError, DataError, NothingToDoError, UsageError
 from catalog.files import MANIFEST, replacing_folder
 from catalog.places import check_apart
 from catalog.progress import logged_stage
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
@@ -91,7 +91,7 @@ def fit_runs(
         named = {*solve, *(parameter.name for parameter in settings.parameter)}
         found = read_fixes(read, lens="focal" in named)
         kernels = _kernels(read, settings, beside)
-        ephemeris = motion_of(found.body, [Path(name) for name in kernels])
+        ephemeris = load_ephemeris(found.body, [Path(name) for name in kernels])
         warn_of_unknown_gravity(found.body, settings.forces)
         priors = orbit_priors(settings.prior, ephemeris, beside, _ends(found.fixes))
         found = _with_times(found, settings.fixes.time_sigma_s)
@@ -146,7 +146,7 @@ def _with_whole_paths(settings: OrbitFitSettings, beside: Path) -> OrbitFitSetti
     """The settings with the field's file as it is found from anywhere."""
     if settings.forces.field is None:
         return settings
-    field = str(path_of(settings.forces.field, beside).resolve())
+    field = str(resolve_path(settings.forces.field, beside).resolve())
     forces = msgspec.structs.replace(settings.forces, field=field)
     return msgspec.structs.replace(settings, forces=forces)
 
@@ -220,7 +220,7 @@ def _fix(solution: Solution, run: RunFolder, camera: str, where: str) -> OrbitFi
     position, covariance = solution.position_m, solution.covariance_m2
     if position is None or covariance is None:
         raise DataError(f"{where}: has no covariance; navigate again")
-    stated = frame.stated_covariance(covariance)
+    stated = frame.transform_covariance_to_stated(covariance)
     if float(np.linalg.eigvalsh(stated)[0]) < MIN_SIGMA_M**2:
         raise DataError(
             f"{where}: its covariance is below the digits of its position, {MIN_SIGMA_M:g} m; "
@@ -236,11 +236,11 @@ def _fix(solution: Solution, run: RunFolder, camera: str, where: str) -> OrbitFi
     except DataError as error:
         raise DataError(f"{where}: {error}") from None
     name = run.path.resolve().name
-    place, sight = frame.stated(position), None
+    place, sight = frame.transform_to_stated(position), None
     if solution.fix is not None:
         sight = sight_of(solution.fix, run.attitude.body.radius_m)
     if sight is not None:
-        sight = frame.stated_direction(sight)
+        sight = frame.rotate_to_stated(sight)
     method = str(solution.method)
     return OrbitFix(solution.file, solution.utc, time, name, camera, place, stated, method, sight)
 
@@ -257,7 +257,7 @@ def _with_times(found: RunFixes, sigma_s: float) -> RunFixes:
 def _kernels(runs: Sequence[RunFolder], settings: OrbitFitSettings, beside: Path) -> list[str]:
     """SPICE kernels: of the settings, else those that the first run was navigated with."""
     if settings.spice.kernels:
-        return [str(path_of(name, beside).resolve()) for name in settings.spice.kernels]
+        return [str(resolve_path(name, beside).resolve()) for name in settings.spice.kernels]
     if not (runs[0].path / MANIFEST).exists():
         return []
     config = read_manifest(runs[0].path).get("options", {}).get("config", {})

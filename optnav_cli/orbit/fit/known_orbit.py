@@ -13,7 +13,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from catalog.bodies.ephemeris import Ephemeris, motion_of
+from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.epochs import DAY_S, J2000_JD, utc_from_tdb_s
 from catalog.errors import DataError, UsageError
 from catalog.geometry.rotations import rnb_axes
@@ -51,9 +51,9 @@ def known_orbit(path: Path, body: Body, craft: int) -> KnownPath:
     raw = read_input(path, "orbit", "name a folder, an OEM, a TLE or an SPK", limit=MAX_BYTES)
     begins = raw.removeprefix(b"\xef\xbb\xbf").lstrip()
     if begins.startswith(BEGINNING):
-        return OemPath(path, motion_of(body, []))
+        return OemPath(path, load_ephemeris(body, []))
     if raw.startswith((SPK_BEGINNING, b"NAIF/DAF")):
-        return SpkPath(path, motion_of(body, []), craft)
+        return SpkPath(path, load_ephemeris(body, []), craft)
     lines = [line.strip() for line in raw.decode("ascii", "replace").splitlines() if line.strip()]
     firsts = [k for k, line in enumerate(lines) if line.startswith("1 ") and len(line) > 60]
     if firsts and len(lines) > firsts[0] + 1 and lines[firsts[0] + 1].startswith("2 "):

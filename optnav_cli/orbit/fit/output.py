@@ -163,8 +163,8 @@ def smoothed_solutions(fit: OrbitFit, solutions: Sequence[Solution]) -> list[Sol
         outcome = replace(
             before,
             method=Method.ORBIT,
-            position_m=frame.catalog(place),
-            covariance_m2=frame.catalog_covariance(covariance),
+            position_m=frame.transform_to_catalog(place),
+            covariance_m2=frame.transform_covariance_to_catalog(covariance),
         )
         found.append(replace(solution, outcome=outcome))
     return found

@@ -213,7 +213,7 @@ class OrbitProblem:
         turn = self._turns[number]
         if offset_s:
             turn = self.ephemeris.body_from_inertial(self.fixes[number].tdb_s + offset_s)
-        stated: FloatArray = self.ephemeris.body.catalog_frame.stated_direction(turn.T).T
+        stated: FloatArray = self.ephemeris.body.catalog_frame.rotate_to_stated(turn.T).T
         return stated
 
     def value(self, parameter: FitParameter, trajectory: Trajectory) -> FloatArray:

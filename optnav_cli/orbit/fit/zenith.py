@@ -14,7 +14,7 @@ import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.stars import bright_stars
+from catalog.bodies.stars import load_bright_stars
 from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC
 from catalog.tables import CsvRow
@@ -100,7 +100,7 @@ def read_zenith(path: Path) -> ZenithSights:
     star_zenith, a star that is in no catalogue, times out of order, a star twice at a time, and
     numbers that are missing or cannot be.
     """
-    catalog = bright_stars()
+    catalog = load_bright_stars()
     rows = ZENITH.read(path, lambda row: (row, *_numbers(row)))
     if not rows:
         raise DataError(f"{path}: has a header but no rows; add a row for each zenith distance")
@@ -115,7 +115,7 @@ def read_zenith(path: Path) -> ZenithSights:
                 "the order of time"
             )
         here = here if time == before else set()
-        seen = catalog.at(time)
+        seen = catalog.propagate(time)
         near = int(np.argmax(seen @ direction))
         if float(np.linalg.norm(seen[near] - direction)) > SAME_STAR_RAD:
             raise DataError(

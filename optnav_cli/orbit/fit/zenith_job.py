@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 
 from catalog.bodies.body import Body, load_body
-from catalog.bodies.ephemeris import motion_of
+from catalog.bodies.ephemeris import load_ephemeris
 from catalog.errors import DataError, UsageError
 from catalog.files import hash_file, replacing_folder
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
 from optnav_cli.frames.run_settings import (
@@ -99,8 +99,8 @@ def fit_zenith_files(
     sights leave the orbit open or fit none.
     """
     found = read_zenith_inputs(inputs)
-    kernels = [str(path_of(name, beside).resolve()) for name in settings.spice.kernels]
-    ephemeris = motion_of(found.body, [Path(name) for name in kernels])
+    kernels = [str(resolve_path(name, beside).resolve()) for name in settings.spice.kernels]
+    ephemeris = load_ephemeris(found.body, [Path(name) for name in kernels])
     warn_of_unknown_gravity(found.body, settings.forces)
     settings = _with_solved(settings, solve)
     ends = float(found.sights.tdb_s[0]), float(found.sights.tdb_s[-1])

@@ -11,7 +11,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
-from catalog.geometry.ellipsoid import normal_at
+from catalog.geometry.ellipsoid import compute_normals
 from catalog.geometry.latlon import xyz_from_latlon
 from optnav_cli.orbit.landing.rays import DigitalSurface
 from optnav_cli.orbit.qso.motion import MoonMotion, split
@@ -35,7 +35,7 @@ class Site:
         direction = xyz_from_latlon(lat, lon, 1.0)
         reach = 2.0 * ground.mesh.reach_m
         hit = ground.cast((reach * direction)[None], -direction[None])
-        return cls(hit.points[0], normal_at(hit.points[0], ground.radii))
+        return cls(hit.points[0], compute_normals(hit.points[0], ground.radii))
 
     @property
     def axes(self) -> FloatArray:

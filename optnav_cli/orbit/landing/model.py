@@ -9,7 +9,7 @@ The ground uses the difference of two paths (`qso_motion`).
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.bodies.ephemeris import eccentric_anomaly, mean_anomaly
+from catalog.bodies.ephemeris import compute_mean_anomaly, solve_kepler_equation
 from catalog.geometry.kernel import kernel
 from optnav_cli.orbit.qso.motion import MoonMotion
 
@@ -86,9 +86,9 @@ class OnboardMotion:
 
     def anomaly(self, tdb_s: FloatArray) -> FloatArray:
         """True anomalies (n,), rad, rising with time, of the moon in its orbit."""
-        mean = mean_anomaly(self._motion.orbit, tdb_s)
+        mean = compute_mean_anomaly(self._motion.orbit, tdb_s)
         mean = mean - 2.0 * np.pi * np.floor(mean[0] / (2.0 * np.pi))
-        eccentric = eccentric_anomaly(mean, self.e)
+        eccentric = solve_kepler_equation(mean, self.e)
         flat = self.e / (1.0 + np.sqrt(1.0 - self.e**2))
         # the anomaly less the eccentric one never passes a half turn: no jumps
         ahead = np.arctan2(flat * np.sin(eccentric), 1.0 - flat * np.cos(eccentric))

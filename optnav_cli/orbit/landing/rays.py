@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
-from catalog.geometry.ellipsoid import foot_of, normal_at
+from catalog.geometry.ellipsoid import compute_normals, find_foot
 from catalog.terrain.mesh.rays import MeshRays
 
 MAX_STEPS, SETTLED_M = 40, 0.1
@@ -54,7 +54,7 @@ class DigitalSurface:
 
     def cast(self, origins: FloatArray, rays: FloatArray) -> GroundHits:
         """By exact casting against the triangles."""
-        faces, distance = self.mesh.first_hits(origins, rays)
+        faces, distance = self.mesh.find_first_hits(origins, rays)
         points = origins + np.where(np.isfinite(distance), distance, 0.0)[:, None] * rays
         none, met = np.zeros(len(rays), dtype=np.int64), np.maximum(faces, 0).astype(np.int64)
         unsettled = np.zeros(len(rays), bool)
@@ -108,7 +108,7 @@ class DigitalSurface:
         """By the iteration, and by casting where it does not settle or the ray is flat."""
         found = self.settle(origins, rays)
         # a flat ray may settle behind a ridge that it meets first
-        up = normal_at(foot_of(found.points, self.radii), self.radii)
+        up = compute_normals(find_foot(found.points, self.radii), self.radii)
         flat = np.abs(np.einsum("ij,ij->i", rays, up)) < MIN_TRUSTED
         rest = np.flatnonzero(~found.settled | flat)
         if rest.size:
@@ -125,9 +125,9 @@ class DigitalSurface:
         self, places: FloatArray, rays: FloatArray
     ) -> tuple[FloatArray, FloatArray, IntArray]:
         """Heights (n,) as of `height`, cosines (n,) of rays on that normal, faces (n,) there."""
-        foot = foot_of(places, self.radii)
-        up = normal_at(foot, self.radii)
-        faces, below = self.mesh.first_hits(foot + ABOVE_M * up, -up)
+        foot = find_foot(places, self.radii)
+        up = compute_normals(foot, self.radii)
+        faces, below = self.mesh.find_first_hits(foot + ABOVE_M * up, -up)
         over: FloatArray = np.einsum("ij,ij->i", places - foot, up) - (ABOVE_M - below)
         along: FloatArray = np.einsum("ij,ij->i", rays, up)
         return over, along, np.maximum(faces, 0)

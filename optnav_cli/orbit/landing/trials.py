@@ -12,7 +12,7 @@ from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import perpendicular_basis
 from catalog.terrain.mesh.rays import MeshRays
-from catalog.terrain.mesh.refine import refined
+from catalog.terrain.mesh.refine import refine_shape
 from catalog.terrain.mesh.shape import Shape, load_shape
 from catalog.terrain.synthetic import fractal
 from optnav_cli.orbit.landing.departure import Departure, Site, check_clear, depart
@@ -92,7 +92,7 @@ def landing_task(settings: LandingSettings, moon: Body, beside: Path) -> Landing
     section = settings.landing
     motion = motion_of_moon(settings.forces, moon, beside)
     # cut once: the cubics over its edges make flat faces round, whose slopes jump less
-    shape = refined(load_shape(settings.surface.mesh, beside, moon), 1)
+    shape = refine_shape(load_shape(settings.surface.mesh, beside, moon), 1)
     model = DigitalSurface(MeshRays(shape.vertices[shape.faces]), moon.radii_m)
     site = Site.at(np.radians(section.target_lat_deg), np.radians(section.target_lon_deg), model)
     begin = utc_to_tdb_s(section.time)
@@ -126,7 +126,7 @@ def wrong_ground(task: LandingTask, seed: int) -> DigitalSurface:
     octaves = error_octaves(seed, length, task.motion.moon.radius_m)
     up = shape.vertices / np.linalg.norm(shape.vertices, axis=1)[:, None]
     sizes = surface_error(task).sigma(shape.vertices)
-    vertices = shape.vertices + (sizes * fractal.noise_at(octaves, up))[:, None] * up
+    vertices = shape.vertices + (sizes * fractal.sum_noise(octaves, up))[:, None] * up
     return DigitalSurface(MeshRays(vertices[shape.faces]), task.motion.moon.radii_m)
 
 

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.bodies.ephemeris import mean_anomaly
+from catalog.bodies.ephemeris import compute_mean_anomaly
 from catalog.bodies.epochs import DAY_S, utc_from_tdb_s
 from catalog.bodies.rotation import body_from_inertial
 from catalog.config import named_config
@@ -107,7 +107,7 @@ def find_orbits(section: QsoSection, motion: MoonMotion, progress: Progress) -> 
                 longitude = float(np.radians(section.longitude_deg))
                 start = QsoStart(1e3 * distance, longitude, float(tdb_s))
                 number = len(rows) + 1
-                anomaly = float(mean_anomaly(motion.orbit, tdb_s)) % (2.0 * np.pi)
+                anomaly = float(compute_mean_anomaly(motion.orbit, tdb_s)) % (2.0 * np.pi)
                 try:
                     search = QsoSearch(motion, start, section.days, section.start == "greatest")
                     orbit = search.solve(section.velocity)

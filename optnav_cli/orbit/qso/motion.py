@@ -17,7 +17,7 @@ from scipy.integrate import DOP853
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
-from catalog.bodies.ephemeris import planet_body
+from catalog.bodies.ephemeris import compute_planet_position
 from catalog.bodies.epochs import DAY_S
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import ConfigError
@@ -224,7 +224,7 @@ class MoonMotion:
     def planet_m(self, tdb_s: FloatArray) -> FloatArray:
         """The planet's centre (n, 3) from the moon's, inertial."""
         turns = body_from_inertial(self.moon, tdb_s)
-        places = planet_body(self.moon, self.orbit, tdb_s)
+        places = compute_planet_position(self.moon, self.orbit, tdb_s)
         planet: FloatArray = np.einsum("nji,nj->ni", turns.reshape(-1, 3, 3), places)
         return planet
 

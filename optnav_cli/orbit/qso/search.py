@@ -16,7 +16,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.epochs import DAY_S
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
-from catalog.geometry.ellipsoid import surface_at
+from catalog.geometry.ellipsoid import project_to_surface
 from optnav_cli.orbit.qso import theory
 from optnav_cli.orbit.qso.motion import FlightTable, MoonMotion, fly
 from optnav_cli.reasons import ReasonCode
@@ -112,7 +112,7 @@ class QsoSearch:
         moon = motion.moon
         cosine, sine = np.cos(start.longitude), np.sin(start.longitude)
         place = np.array([cosine, sine, 0.0])  # body frame
-        surface = float(np.linalg.norm(surface_at(place, moon.radii_m)))
+        surface = float(np.linalg.norm(project_to_surface(place, moon.radii_m)))
         self.radius_m = surface + start.distance_m
         self._across = np.array([-sine, cosine, 0.0])
         self._along = place

@@ -8,7 +8,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
-from catalog.bodies.ephemeris import CENTURY_S, mean_anomaly
+from catalog.bodies.ephemeris import CENTURY_S, compute_mean_anomaly
 from catalog.bodies.epochs import DAY_S, utc_to_tdb_s
 from catalog.config import Turn, load_toml, named_config
 from catalog.errors import ConfigError, DataError
@@ -125,6 +125,6 @@ def start_times(section: QsoSection, motion: MoonMotion) -> FloatArray:
         if not section.anomaly_deg:
             found.append(tdb_s)
         for anomaly in np.radians(section.anomaly_deg):
-            now = float(mean_anomaly(orbit, tdb_s)) % turn
+            now = float(compute_mean_anomaly(orbit, tdb_s)) % turn
             found.append(tdb_s + (anomaly - now) % turn / rate)
     return np.array(found)

@@ -9,12 +9,12 @@ import numpy as np
 from catalog.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
-from catalog.geometry.ellipsoid import surface_at
+from catalog.geometry.ellipsoid import project_to_surface
 from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.photometry import hapke
 from catalog.photometry.laws import lambert, lommel_seeliger
-from catalog.terrain.relief.relief import GlobalRelief, relief_height
+from catalog.terrain.relief.relief import GlobalRelief, interpolate_relief
 from optnav_cli.frames.segmentation import ROUNDING_VARIANCE, Blobs, Segmented
 from optnav_cli.reasons import ReasonCode
 
@@ -285,7 +285,7 @@ def _shade(
             out = np.sqrt(x * x + y * y + z * z)
             if out > highest:
                 break
-            above = out - radius - relief_height(heights, np.arcsin(z / out), np.arctan2(y, x))
+            above = out - radius - interpolate_relief(heights, np.arcsin(z / out), np.arctan2(y, x))
             if above < 0.0:
                 free[i] = False
                 break
@@ -299,7 +299,7 @@ def _sample_ground(body: Body, relief: GlobalRelief | None) -> tuple[FloatArray,
     lon = np.linspace(-np.pi, np.pi, 2 * STEPS + 1)[None, :]
     directions = xyz_from_latlon(lat, lon, 1.0)
     if relief is None:
-        corners = surface_at(directions, body.radii_m)
+        corners = project_to_surface(directions, body.radii_m)
     else:
         corners = directions * (relief.radius_m + relief.heights_at(lat, lon))[..., None]
     corners /= np.mean(body.radii_m)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
-from catalog.terrain.skyline.limb import nadir_axes
+from catalog.terrain.skyline.limb import make_nadir_axes
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.outline.limb.detection import LimbPoints
@@ -50,8 +50,8 @@ class LimbRays:
         return np.hypot(self.sigma_px, light.noise_px) * self.pixel_angle
 
     def compute_azimuths(self, position: FloatArray) -> FloatArray:
-        """Compute azimuths (n,) about the nadir of a position (3,), rad; see `nadir_axes`."""
-        x, y, _ = nadir_axes(position) @ self.rays.T
+        """Compute azimuths (n,) about the nadir of a position (3,), rad; see `make_nadir_axes`."""
+        x, y, _ = make_nadir_axes(position) @ self.rays.T
         azimuths: FloatArray = np.arctan2(y, x)
         return azimuths
 

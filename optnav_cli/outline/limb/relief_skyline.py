@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
-from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
+from catalog.terrain.skyline.limb import LimbRelief, make_nadir_axes
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.estimation.robust import TUKEY, scatter
 from optnav_cli.outline.limb.limb_rays import LimbRays, compute_rough_errors
@@ -124,7 +124,7 @@ class ReliefSkyline:
         """
         ground = self.limb
         distance = float(np.linalg.norm(position))
-        axes = nadir_axes(position)
+        axes = make_nadir_axes(position)
         rays_at = rays.compute_azimuths(position)
         # a turn of azimuth moves the crest by R sin(range) and the line of sight by sin(off nadir)
         sine = min(ground.radius_m / distance, 1.0)
@@ -152,7 +152,7 @@ class ReliefSkyline:
             # A crest up to 30 m below the Sun's reach still counts as lit.
             crests = (line.radius_m + 30.0)[:, None] * out
             sun_sine[wanted] = out @ (sun_body / np.linalg.norm(sun_body))
-            lit[wanted] = ground.sunlit(crests, sun_body)
+            lit[wanted] = ground.mark_sunlit(crests, sun_body)
         sizes = distance * np.sin(off_nadir) / ground.radius_m
         return sizes, lit[left] & lit[(left + 1) % count], sun_sine[left]
 

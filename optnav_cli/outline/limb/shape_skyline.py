@@ -20,7 +20,7 @@ from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
 from catalog.terrain.relief.relief import GlobalRelief
-from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
+from catalog.terrain.skyline.limb import LimbRelief, make_nadir_axes
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.estimation.robust import scatter
 from optnav_cli.outline.limb.detection import RELIEF
@@ -129,7 +129,7 @@ class ShapeSkyline:
         """
         limb = self.limb
         distance = float(np.linalg.norm(position))
-        axes = nadir_axes(position)
+        axes = make_nadir_axes(position)
         sine = min(limb.radius_m / distance, 1.0)
         pixel = float(np.median(rays.pixel_angle)) / sine
         finest = max(pixel, 0.25 * limb.posting_m / limb.radius_m)
@@ -168,7 +168,7 @@ class ShapeSkyline:
             sun_sine = normals @ sun
             around = np.cos(azimuths)[:, None] * axes[0] + np.sin(azimuths)[:, None] * axes[1]
             out = np.cos(line.range)[:, None] * axes[2] + np.sin(line.range)[:, None] * around
-            lit = limb.sunlit((line.radius_m + self.clearance_m)[:, None] * out, sun)
+            lit = limb.mark_sunlit((line.radius_m + self.clearance_m)[:, None] * out, sun)
             usable = usable & lit[left] & lit[right]
         return Silhouette(
             (nearest - off_nadir) * cosine, normals / ranges[:, None], ranges, usable, sun_sine

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, IndexArray
 from catalog.photometry.hapke import LUNAR
-from catalog.rendering.mesh_scene import LIFT, facing_the_sun, radiance_of
+from catalog.rendering.mesh_scene import LIFT, select_sunward, shade_faces
 from catalog.terrain.mesh.rays import MeshRays
 from optnav_cli.camera.camera import Camera
 
@@ -66,13 +66,13 @@ def draw_shape(
     rays = camera.unproject(pixels.reshape(-1, 2))
     seen: BoolArray = np.asarray(np.isfinite(rays).all(axis=1))
     rays = np.ascontiguousarray(np.where(seen[:, None], rays, 0.0) @ camera_from_body.as_matrix())
-    faces, depth = mesh.first_hits(position, rays)
+    faces, depth = mesh.find_first_hits(position, rays)
     faces[~seen] = -1
     lift = LIFT * mesh.reach_m
-    numbers, starts = facing_the_sun(mesh.corners, faces, position, rays, depth, sun_body, lift)
+    numbers, starts = select_sunward(mesh.corners, faces, position, rays, depth, sun_body, lift)
     flat = np.zeros(len(rays), np.float32)
     lit = numbers[~mesh.are_blocked(starts, sun_body)]
-    radiance_of(mesh.corners, faces, rays, lit, sun_body, LUNAR, flat)
+    shade_faces(mesh.corners, faces, rays, lit, sun_body, LUNAR, flat)
     ground = (faces >= 0).reshape(nodes, nodes)
     light = flat.reshape(nodes, nodes)
     distance = np.where(ground, depth.reshape(nodes, nodes), np.inf)

@@ -21,7 +21,7 @@ from catalog.bodies.body import Body
 from catalog.config import Positive, load_toml, resource
 from catalog.errors import NoSolutionError
 from catalog.terrain.mesh.rays import MeshRays
-from catalog.terrain.mesh.terrain import mesh_of_relief
+from catalog.terrain.mesh.terrain import make_relief_mesh
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
@@ -94,7 +94,7 @@ class _Step(NamedTuple):
 
 @lru_cache(maxsize=2)
 def _make_mesh(relief: GlobalRelief) -> MeshRays:
-    return mesh_of_relief(relief)
+    return make_relief_mesh(relief)
 
 
 def navigate(

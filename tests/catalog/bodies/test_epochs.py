@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from catalog.bodies.epochs import system_to_tdb_s, tdb_s_after, utc_from_tdb_s, utc_to_tdb_s
+from catalog.bodies.epochs import compute_tdb_s_after, system_to_tdb_s, utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError
 
 TIMES = [
@@ -38,20 +38,20 @@ def test_times_after_a_time_are_whole_milliseconds_of_the_clock() -> None:
     """Half a year on, a count of TDB seconds is 3 ms off the clock."""
     start = "2026-01-01T00:00:00Z"
     later = [0.0, 7200.0, 86400.0 * 182.0, -0.25, 1.0 / 3.0]
-    found = [utc_from_tdb_s(time, 3) for time in tdb_s_after(start, later)]
+    found = [utc_from_tdb_s(time, 3) for time in compute_tdb_s_after(start, later)]
     assert found == [
         *("2026-01-01T00:00:00.000Z", "2026-01-01T02:00:00.000Z", "2026-07-02T00:00:00.000Z"),
         *("2025-12-31T23:59:59.750Z", "2026-01-01T00:00:00.333Z"),
     ]
-    assert [utc_to_tdb_s(utc) for utc in found] == tdb_s_after(start, later).tolist()
-    leap = tdb_s_after("2016-12-31T23:59:59Z", [1.0, 2.0])
+    assert [utc_to_tdb_s(utc) for utc in found] == compute_tdb_s_after(start, later).tolist()
+    leap = compute_tdb_s_after("2016-12-31T23:59:59Z", [1.0, 2.0])
     assert [utc_from_tdb_s(t, 0) for t in leap] == ["2016-12-31T23:59:60Z", "2017-01-01T00:00:00Z"]
 
 
 @pytest.mark.parametrize("after", [float("nan"), 1e300, -1e12, 2.6e11])
 def test_times_after_the_last_year_are_refused(after: float) -> None:
     with pytest.raises(DataError, match=r"wanted a (UTC )?time"):
-        tdb_s_after("2026-01-01T00:00:00Z", after)
+        compute_tdb_s_after("2026-01-01T00:00:00Z", after)
 
 
 @pytest.mark.parametrize("utc", TIMES)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from catalog.bodies.star_catalog import EPOCHS, GAIA, KEYWORDS, NAMES, read_star_catalog
-from catalog.bodies.stars import MAS, bright_stars
+from catalog.bodies.stars import MAS, load_bright_stars
 from catalog.errors import DataError
 
 HEAD = "ra_deg,dec_deg,pm_ra_mas_yr,pm_dec_mas_yr,mag"
@@ -32,19 +32,19 @@ def test_places_motions_and_magnitudes_are_read_the_brightest_first(
     assert np.allclose(stars.directions[2], wanted, atol=1e-14)
     assert stars.label(2) == "row 2"
     # 9 years on, each along its own motion: 100 and -50 mas a year
-    later = stars.at((2025.0 - 2000.0) * 365.25 * 86400.0)
+    later = stars.propagate((2025.0 - 2000.0) * 365.25 * 86400.0)
     moved = (later - stars.directions) / (9.0 * MAS)
     assert np.allclose(np.linalg.norm(moved, axis=1), [5.0, 0.0, np.hypot(100.0, 50.0)], atol=1e-3)
     assert moved[2] @ [-np.sin(ra), np.cos(ra), 0.0] == pytest.approx(100.0, abs=1e-3)
 
 
 def test_the_shipped_stars_come_back_through_a_table(tmp_path: Path) -> None:
-    ours = bright_stars()
+    ours = load_bright_stars()
     assert len(ours.magnitudes) == 9928
     assert ours.magnitudes[8869] <= 6.5 < ours.magnitudes[8870]
     source = Path(__file__).resolve().parents[3] / "catalog/data/bright_stars.csv"
     again = read_star_catalog(source, 1991.25)
-    assert np.allclose(again.at(8e8), ours.at(8e8), atol=1e-15)
+    assert np.allclose(again.propagate(8e8), ours.propagate(8e8), atol=1e-15)
     assert again.label(0) == "Sirius"
     assert again.label(9000) == ours.label(9000)
 
@@ -52,7 +52,7 @@ def test_the_shipped_stars_come_back_through_a_table(tmp_path: Path) -> None:
 def test_each_star_may_have_its_own_epoch(tmp_path: Path) -> None:
     rows = ["10.0,20.0,100.0,0.0,8.0,2016.0", "10.0,20.0,100.0,0.0,8.5,1991.25"]
     stars = read_star_catalog(written(tmp_path, HEAD + ",epoch", rows))
-    now = stars.at(None)
+    now = stars.propagate(None)
     apart = np.linalg.norm(now[1] - now[0]) / MAS
     assert apart == pytest.approx(24.75 * 100.0, rel=1e-6)
     with pytest.raises(DataError, match="2000 is stated beside it"):
@@ -65,7 +65,7 @@ def test_a_table_of_the_gaia_archive_is_taken_as_it_is(tmp_path: Path) -> None:
             "11,2016.0,10.0,-30.0,null,null,null,9.9"]  # fmt: skip
     stars = read_star_catalog(written(tmp_path, head, rows))
     assert stars.label(0) == "Gaia 4472832130942575872"
-    moved = (stars.at(0.0)[0] - stars.directions[0]) / MAS
+    moved = (stars.propagate(0.0)[0] - stars.directions[0]) / MAS
     assert np.linalg.norm(moved) == pytest.approx(16.0 * np.hypot(801.5, 10362.3), rel=1e-4)
     # without Gaia's magnitude the names say no unit
     with pytest.raises(DataError, match=r"no column 'ra_deg'; its column 'ra' names no unit"):

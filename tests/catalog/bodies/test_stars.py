@@ -3,7 +3,7 @@
 import erfa
 import numpy as np
 
-from catalog.bodies.stars import LIGHT_M_S, aberrated
+from catalog.bodies.stars import LIGHT_M_S, apply_aberration
 from catalog.geometry.rotations import ARCSEC
 
 
@@ -15,6 +15,6 @@ def test_aberration_is_that_of_the_standards_of_fundamental_astronomy() -> None:
     for velocity in 3e4 * np.linalg.qr(rng.normal(size=(3, 3)))[0]:
         share = velocity / LIGHT_M_S
         wanted = erfa.ab(stars, share, 1.0, np.sqrt(1.0 - share @ share))
-        off = np.linalg.norm(np.cross(aberrated(stars, velocity), wanted), axis=1)
+        off = np.linalg.norm(np.cross(apply_aberration(stars, velocity), wanted), axis=1)
         assert off.max() < 1.1e-3 * ARCSEC
         assert np.linalg.norm(np.cross(stars, wanted), axis=1).max() > 20.0 * ARCSEC

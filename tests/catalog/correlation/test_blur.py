@@ -6,12 +6,12 @@ from scipy.ndimage import gaussian_filter
 
 from catalog.correlation.ncc import (
     blur_nodes,
-    cropped,
-    high_passed,
-    low_pass,
-    quick_high_passed,
-    thinned,
-    thinning,
+    choose_thinning,
+    crop,
+    downsample_blurred,
+    filter_high_pass_masked,
+    filter_high_pass_quickly,
+    filter_low_pass,
 )
 
 
@@ -26,13 +26,13 @@ def test_the_blur_is_a_gaussian() -> None:
     grid = np.random.default_rng(3).standard_normal((60, 60)).astype(np.float32)
     inner = (slice(15, -15),) * 2
     expected = gaussian_filter(grid.astype(np.float64), 2.0, truncate=6.0)
-    assert low_pass(grid, 2.0)[inner] == pytest.approx(expected[inner], abs=5e-3)
+    assert filter_low_pass(grid, 2.0)[inner] == pytest.approx(expected[inner], abs=5e-3)
 
 
 def test_holes_stay_and_take_no_part() -> None:
     grid = np.full((40, 40), 7.0, np.float32)
     grid[10:20, 5:15] = np.nan
-    blurred = low_pass(grid, 3.0)
+    blurred = filter_low_pass(grid, 3.0)
     assert (np.isnan(blurred) == np.isnan(grid)).all()
     assert blurred[np.isfinite(blurred)] == pytest.approx(7.0, rel=1e-5)
 
@@ -42,15 +42,15 @@ def test_thinned_nodes_lie_about_the_same_centre(side: int) -> None:
     """A ramp gives the places of its nodes back; at the border the blur bends it."""
     ramp = np.tile(np.arange(side, dtype=np.float32) - (side - 1) / 2.0, (side, 1))
     for even in (True, False):
-        kept = thinned(ramp, 2.2, even)
+        kept = downsample_blurred(ramp, 2.2, even)
         assert kept.shape[0] % 2 == (0 if even else 1)
-        places = (np.arange(kept.shape[1]) - (kept.shape[1] - 1) / 2.0) * thinning(2.2)
+        places = (np.arange(kept.shape[1]) - (kept.shape[1] - 1) / 2.0) * choose_thinning(2.2)
         assert kept[10, 5:-5] == pytest.approx(places[5:-5], abs=1e-3)
 
 
 def test_a_blur_below_a_node_keeps_all_nodes() -> None:
     grid = np.random.default_rng(3).standard_normal((40, 40)).astype(np.float32)
-    assert thinned(grid, 0.7, True) == pytest.approx(low_pass(grid, 0.7))
+    assert downsample_blurred(grid, 0.7, True) == pytest.approx(filter_low_pass(grid, 0.7))
 
 
 @pytest.mark.parametrize("side", [1, 9, 57, 96, 102])
@@ -62,6 +62,6 @@ def test_the_quick_high_pass_is_the_other_to_the_rounding(side: int, holes: bool
     if holes:
         valid[side // 3 :, : side // 2] = False
     for margin in (0, 8) if side > 16 else (0,):
-        quick = quick_high_passed(grids, valid, margin)
-        for one, other in zip(quick, high_passed(grids, valid), strict=True):
-            assert one == pytest.approx(cropped(other, margin), abs=1e-4)  # 1e-6 of the grids
+        quick = filter_high_pass_quickly(grids, valid, margin)
+        for one, other in zip(quick, filter_high_pass_masked(grids, valid), strict=True):
+            assert one == pytest.approx(crop(other, margin), abs=1e-4)  # 1e-6 of the grids

@@ -5,11 +5,11 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from catalog.correlation.ncc import (
-    filtered,
+    add_remainder_covariance,
+    filter_grid,
     match_cut,
     match_masked,
     match_ncc,
-    with_remainder_covariance,
 )
 
 MARGIN, SIDE, ROOM = 8, 40, 6
@@ -73,7 +73,7 @@ def test_a_grid_is_compared_in_part_where_it_is_cut_and_whole_where_it_is_not():
     cut[:, 44:] = np.nan
     for grid, match in ((search, match_ncc), (cut, match_masked)):
         plain = match(template, grid, MARGIN)
-        again = match_cut(template, grid, filtered(grid, MARGIN), MARGIN, remainder=False)
+        again = match_cut(template, grid, filter_grid(grid, MARGIN), MARGIN, remainder=False)
         # scores of few places are summed one by one, not by transforms: rounding alone differs
         assert again[:4] == pytest.approx(plain[:4], abs=2e-7)
         np.testing.assert_allclose(again.covariance, plain.covariance, rtol=1e-5)
@@ -82,7 +82,7 @@ def test_a_grid_is_compared_in_part_where_it_is_cut_and_whole_where_it_is_not():
 def test_a_filtered_search_grid_gives_the_covariance_of_the_remainder():
     template, search = scene()
     search += gaussian_filter(np.random.default_rng(8).normal(size=search.shape), 2.0) / 20.0
-    apart = with_remainder_covariance(match_ncc(template, search, MARGIN), template, search, MARGIN)
-    at_once = match_cut(template, search, filtered(search, MARGIN), MARGIN, remainder=True)
+    apart = add_remainder_covariance(match_ncc(template, search, MARGIN), template, search, MARGIN)
+    at_once = match_cut(template, search, filter_grid(search, MARGIN), MARGIN, remainder=True)
     assert np.allclose(at_once.covariance, apart.covariance, rtol=0.1, atol=1e-5)
     assert np.allclose(at_once[:2], apart[:2], atol=2e-3)

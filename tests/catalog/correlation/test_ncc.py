@@ -7,27 +7,27 @@ import scipy.fft
 from scipy import ndimage
 
 from catalog.correlation.ncc import (
-    _scores,
+    _correlate_quickly,
+    add_remainder_covariance,
     correlated,
-    cropped,
-    filtered,
-    high_pass,
+    crop,
+    filter_grid,
+    filter_high_pass,
     match_in,
     match_ncc,
-    with_remainder_covariance,
 )
 from catalog.correlation.peak import (
     LAG_NODES,
     RIVAL_DISTANCE,
-    _smoothed,
+    _smooth_spectrum,
     locate_peak,
-    refined_by_remainder,
+    refine_by_remainder,
 )
 from catalog.correlation.similarity import (
-    half_pair_scores,
     match_similarity,
-    pair_scores,
-    turned,
+    rotate_and_scale,
+    score_pairs,
+    score_pairs_halved,
 )
 
 
@@ -111,8 +111,8 @@ def test_scores_over_flat_parts_of_a_search_are_void_and_the_others_are_opencv_s
     search = cut(field, 96) * np.float32(1e-9) + np.float32(0.5)
     search[60:, 60:] = cut(field, 36)
     reference = cut(field, 32)
-    found = correlated(filtered(reference), filtered(search))
-    image, template = high_pass(search), high_pass(reference)
+    found = correlated(filter_grid(reference), filter_grid(search))
+    image, template = filter_high_pass(search), filter_high_pass(reference)
     power = cv2.boxFilter(image * image, -1, (32, 32), anchor=(0, 0))[:65, :65]
     flat = power <= (1e-5 * np.abs(search).max()) ** 2
     assert 0.1 < flat.mean() < 0.9
@@ -149,14 +149,14 @@ def test_the_peak_of_a_paraboloid_is_its_own_and_its_covariance_the_inverse_of_i
 def test_a_filtered_search_grid_gives_the_same_match():
     field = texture(11)
     reference, search = cut(field, 48), cut(shifted(field, 2.2, 1.1), 64)
-    again = match_in(reference, filtered(search, margin_nodes=4), 4)
+    again = match_in(reference, filter_grid(search, margin_nodes=4), 4)
     np.testing.assert_equal(again, match_ncc(reference, search, 4))
 
 
 def test_high_pass_of_whole_data_is_the_difference_to_a_gaussian():
     grid = cut(texture(7), 64)
     expected = grid - cv2.GaussianBlur(grid, (0, 0), 5.0)
-    assert np.allclose(high_pass(grid, 5.0), expected)
+    assert np.allclose(filter_high_pass(grid, 5.0), expected)
 
 
 def test_a_peak_on_the_border_of_the_search_has_no_finite_covariance():
@@ -167,14 +167,14 @@ def test_a_peak_on_the_border_of_the_search_has_no_finite_covariance():
 
 def test_grids_that_cannot_be_centred_are_refused():
     with pytest.raises(ValueError, match="centred"):
-        correlated(*(filtered(np.zeros((n, n), np.float32)) for n in (32, 41)))
+        correlated(*(filter_grid(np.zeros((n, n), np.float32)) for n in (32, 41)))
 
 
 def test_roll_and_scale_are_found_together_with_the_shift():
     field = texture(9, smooth=3.0)
     rolls = np.radians([-6.0, -3.0, 0.0, 3.0, 6.0])
     scales = [0.9, 0.95, 1.0, 1.05, 1.1]
-    search = turned(cut(field, 161), np.radians(4.5), 1.06)[32:129, 32:129]
+    search = rotate_and_scale(cut(field, 161), np.radians(4.5), 1.06)[32:129, 32:129]
     found = match_similarity(cut(field, 65), search, list(rolls), scales)
     assert np.degrees(found.roll) == pytest.approx(4.5, abs=1.0)
     assert found.scale == pytest.approx(1.06, abs=0.02)
@@ -195,22 +195,26 @@ def test_pairs_are_scored_as_opencv_does_and_the_best_is_as_good_as_any(size, ma
         roll, scale = rng.uniform(-0.1, 0.1), rng.uniform(0.9, 1.1)
         noisy = field + ndimage.gaussian_filter(rng.normal(size=field.shape), 0.7) * 2.0
         middle = slice(90 - size // 2 - 8, 90 - size // 2 + size + 8)
-        search = turned(cut(noisy, 180), roll, scale)[middle, middle]
+        search = rotate_and_scale(cut(noisy, 180), roll, scale)[middle, middle]
         reference = cut(field, 180)[middle, middle][8:-8, 8:-8]
         inner = slice(margin, size - margin)
-        image = filtered(search, margin_nodes=margin)
+        image = filter_grid(search, margin_nodes=margin)
         wanted = [
             cv2.matchTemplate(
                 image.values,
-                np.ascontiguousarray(turned(high_pass(reference), *pair, 0.0)[inner, inner]),
+                np.ascontiguousarray(
+                    rotate_and_scale(filter_high_pass(reference), *pair, 0.0)[inner, inner]
+                ),
                 cv2.TM_CCOEFF_NORMED,
             ).max()
             for pair in pairs
         ]
-        scores = pair_scores(reference, image, pairs, margin)
+        scores = score_pairs(reference, image, pairs, margin)
         np.testing.assert_allclose(scores, wanted, atol=1e-5)
         found = match_similarity(reference, search, rolls, scales, margin_nodes=margin)
-        each = [match_ncc(turned(reference, *pair), search, margin).score for pair in pairs]
+        each = [
+            match_ncc(rotate_and_scale(reference, *pair), search, margin).score for pair in pairs
+        ]
         missed.append(max(each) - found.match.score)
     # no worse than the best of all pairs, but for what a parabola may miss
     assert max(missed) < 0.03
@@ -227,7 +231,7 @@ def test_roll_and_scale_from_half_as_many_nodes_are_as_good(margin):
         field = texture(100 + seed, smooth=2.0)
         roll, scale = rng.uniform(-0.1, 0.1), rng.uniform(0.92, 1.08)
         noisy = field + ndimage.gaussian_filter(rng.normal(size=field.shape), 0.7) * 2.0
-        search = turned(cut(noisy, 180), roll, scale)[50:130, 50:130]
+        search = rotate_and_scale(cut(noisy, 180), roll, scale)[50:130, 50:130]
         reference = cut(field, 180)[58:122, 58:122]
         for halved in errors:
             found = match_similarity(
@@ -245,14 +249,14 @@ def test_roll_and_scale_from_half_as_many_nodes_are_as_good(margin):
 @pytest.mark.parametrize("margin", [0, 4])
 def test_scores_from_half_the_nodes_are_those_of_the_turned_template_at_each_place(margin, side):
     search, reference = cut(texture(21), side), cut(texture(21), 48 + 2 * margin)
-    image = filtered(search, margin)
+    image = filter_grid(search, margin)
     pairs = [(roll, scale) for roll in (-0.1, 0.0, 0.2) for scale in (0.9, 1.0, 1.1)]
     small, wide = (
         cv2.resize(grid, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        for grid in (high_pass(reference), image.values)
+        for grid in (filter_high_pass(reference), image.values)
     )
-    for pair, score in zip(pairs, half_pair_scores(reference, image, pairs, margin), strict=True):
-        template = cropped(turned(small, *pair, beyond=0.0), margin // 2)
+    for pair, score in zip(pairs, score_pairs_halved(reference, image, pairs, margin), strict=True):
+        template = crop(rotate_and_scale(small, *pair, beyond=0.0), margin // 2)
         surface = cv2.matchTemplate(wide, template, cv2.TM_CCOEFF_NORMED)
         # the top lies between places: as high as the best of them, or a little higher
         assert surface.max() - 1e-5 <= score <= surface.max() + 0.1
@@ -261,7 +265,7 @@ def test_scores_from_half_the_nodes_are_those_of_the_turned_template_at_each_pla
 def test_no_pair_scores_on_flat_parts_of_a_search():
     search = np.full((96, 96), 0.5, np.float32)
     search[:, 80:] += cut(texture(13), 96)[:, 80:]
-    scores = pair_scores(cut(texture(14), 32), filtered(search), [(0.0, 1.0), (0.1, 1.05)], 0)
+    scores = score_pairs(cut(texture(14), 32), filter_grid(search), [(0.0, 1.0), (0.1, 1.05)], 0)
     assert max(scores) < 0.9
 
 
@@ -287,7 +291,7 @@ def test_the_remainder_refines_a_place_and_states_its_scatter(steepness, smooth,
         dx, dy = rng.uniform(-0.5, 0.5, 2)
         reference, search = cut(truth, 96), cut(shifted(truth + unknown, dx, dy), 112)
         match = match_ncc(reference, search, 8)
-        whole = with_remainder_covariance(match, reference, search, 8)
+        whole = add_remainder_covariance(match, reference, search, 8)
         errors.append([whole.dx - dx, whole.dy - dy])
         of_peaks.append([match.dx - dx, match.dy - dy])
         stated.append(np.trace(whole.covariance) / 2.0)
@@ -298,7 +302,7 @@ def test_the_remainder_refines_a_place_and_states_its_scatter(steepness, smooth,
 def test_a_perfect_match_stays_where_it_is():
     search = cut(ground(np.random.default_rng(6), 0.5, 1.2), 112)
     reference = np.ascontiguousarray(search[8:-8, 8:-8])
-    whole = with_remainder_covariance(match_ncc(reference, search, 8), reference, search, 8)
+    whole = add_remainder_covariance(match_ncc(reference, search, 8), reference, search, 8)
     assert np.hypot(whole.dx, whole.dy) < 1e-3
     assert np.trace(whole.covariance) < 1e-4
 
@@ -310,17 +314,17 @@ def test_the_remainder_follows_the_direction_of_a_streaky_error():
     stripes = np.repeat(ndimage.gaussian_filter1d(rng.normal(size=(128, 1)), 1.5, axis=0), 128, 1)
     search = cut(truth + stripes / stripes.std(), 112)
     reference = cut(truth, 96)
-    match = with_remainder_covariance(match_ncc(reference, search, 8), reference, search, 8)
+    match = add_remainder_covariance(match_ncc(reference, search, 8), reference, search, 8)
     assert match.covariance[1, 1] > 4.0 * match.covariance[0, 0]
 
 
 def test_the_remainder_of_a_negative_is_no_match():
     template = cut(texture(6), 64)
     laid = np.stack([np.ones_like(template), template, *np.gradient(template)[::-1]])
-    assert np.isfinite(refined_by_remainder(laid, template, template.size).covariance).all()
-    assert np.isinf(refined_by_remainder(laid, -template, template.size).covariance[0, 0])
+    assert np.isfinite(refine_by_remainder(laid, template, template.size).covariance).all()
+    assert np.isinf(refine_by_remainder(laid, -template, template.size).covariance[0, 0])
     laid[1] = 0.0
-    assert np.isinf(refined_by_remainder(laid, template, template.size).covariance[0, 0])
+    assert np.isinf(refine_by_remainder(laid, template, template.size).covariance[0, 0])
 
 
 def test_holes_leave_the_remainder_alone():
@@ -329,9 +333,9 @@ def test_holes_leave_the_remainder_alone():
     search = cut(truth + 0.6 * ground(rng, 1.0, 1.0), 112)
     reference = cut(truth, 96)
     match = match_ncc(reference, search, 8)
-    whole = with_remainder_covariance(match, reference, search, 8).covariance
+    whole = add_remainder_covariance(match, reference, search, 8).covariance
     search[:, 70:] = np.nan
-    part = with_remainder_covariance(match, reference, search, 8).covariance
+    part = add_remainder_covariance(match, reference, search, 8).covariance
     # 54 of 80 columns are left
     assert 1.0 < np.trace(part) / np.trace(whole) < 3.0
 
@@ -340,10 +344,10 @@ def test_holes_leave_the_remainder_alone():
 def test_scores_one_by_one_are_those_of_the_transforms(places):
     """7 and 15 places a side are summed one by one, 17 are not."""
     field = texture(40)
-    template = filtered(cut(field, 42))
-    image = filtered(cut(shifted(field, 1.4, -0.6), 42 + places - 1))
+    template = filter_grid(cut(field, 42))
+    image = filter_grid(cut(shifted(field, 1.4, -0.6), 42 + places - 1))
     exact = cv2.matchTemplate(image.values, template.values, cv2.TM_CCOEFF_NORMED)
-    np.testing.assert_allclose(_scores(template, image), exact, atol=1e-6)
+    np.testing.assert_allclose(_correlate_quickly(template, image), exact, atol=1e-6)
 
 
 @pytest.mark.parametrize("side", [60, 75])
@@ -356,6 +360,6 @@ def test_a_spectrum_is_smoothed_as_by_a_taper_of_its_correlation(side):
     taper = np.exp(-0.5 * lag * lag)
     correlation = scipy.fft.irfft2(power, s=(side, side))
     wanted = scipy.fft.rfft2(correlation * np.outer(taper, taper)).real
-    smooth, mean = _smoothed(power.astype(np.float32))
+    smooth, mean = _smooth_spectrum(power.astype(np.float32))
     np.testing.assert_allclose(smooth, wanted, atol=1e-6 * wanted.max())
     assert mean == pytest.approx(float(correlation[0, 0]), rel=1e-6)

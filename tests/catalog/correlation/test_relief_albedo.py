@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from catalog.correlation.ncc import match_ncc, with_remainder_covariance
+from catalog.correlation.ncc import add_remainder_covariance, match_ncc
 from catalog.correlation.relief_albedo import (
     SMOOTH_M,
-    frame_strengths,
-    relief_match,
-    relief_patterns,
-    shipped_strengths,
-    steepness_and_crests,
+    compute_steepness_and_crests,
+    estimate_strengths,
+    load_shipped_strengths,
+    make_relief_match,
+    make_relief_patterns,
 )
 
 POSTING_M = 948.0
@@ -55,17 +55,17 @@ def trial(
     """
     ground = heights(rng)
     reference = cut(shaded(ground, posting_m), SIDE)
-    steep, crest = steepness_and_crests(ground, posting_m)
+    steep, crest = compute_steepness_and_crests(ground, posting_m)
     dust = 0.01 * ndimage.gaussian_filter(rng.normal(size=ground.shape), 1.0) / 0.28
     seen = shaded(ground, posting_m) * np.exp(steepness * steep + crests * crest + dust)
     search = cut(seen, SIDE + 2 * ROOM)
-    patterns = relief_patterns(cut(ground, SIDE), posting_m, reference)
+    patterns = make_relief_patterns(cut(ground, SIDE), posting_m, reference)
     search[30 : 30 + hole, 40 : 40 + hole] = np.nan
-    before = with_remainder_covariance(
+    before = add_remainder_covariance(
         match_ncc(reference, search, MARGIN), reference, search, MARGIN
     )
-    fit = relief_match(before, reference, patterns, search, MARGIN)
-    return before, fit.under(shipped_strengths()), fit
+    fit = make_relief_match(before, reference, patterns, search, MARGIN)
+    return before, fit.apply_albedo(load_shipped_strengths()), fit
 
 
 def squares(matches: list) -> float:
@@ -107,35 +107,35 @@ def test_a_peak_that_is_none_stays_none() -> None:
     rng = np.random.default_rng(3)
     ground = heights(rng)
     reference = cut(shaded(ground), SIDE)
-    patterns = relief_patterns(cut(ground, SIDE), POSTING_M, reference)
+    patterns = make_relief_patterns(cut(ground, SIDE), POSTING_M, reference)
     search = cut(shaded(ground), SIDE + 2 * ROOM)
     match = match_ncc(reference, search, MARGIN)
     none = match._replace(covariance=np.diag([np.inf, np.inf]))
-    assert relief_match(none, reference, patterns, search, MARGIN) is None
+    assert make_relief_match(none, reference, patterns, search, MARGIN) is None
 
 
 def test_points_of_a_picture_tell_its_strengths_and_hold_each_other() -> None:
     rng = np.random.default_rng(4)
     trials = [trial(rng, STEEPNESS, CRESTS) for _ in range(12)]
     fits = [fit for *_, fit in trials]
-    strengths = frame_strengths(fits)
+    strengths = estimate_strengths(fits)
     assert strengths.steepness.mean == pytest.approx(STEEPNESS, abs=0.1)
     assert strengths.crests.mean == pytest.approx(CRESTS, abs=0.1)
-    assert strengths.steepness.sigma < shipped_strengths().steepness.sigma
-    assert strengths.crests.sigma < shipped_strengths().crests.sigma
+    assert strengths.steepness.sigma < load_shipped_strengths().steepness.sigma
+    assert strengths.crests.sigma < load_shipped_strengths().crests.sigma
     alone, together = (
         [m.dx for m in some]
-        for some in ([m for _, m, _ in trials], [f.under(strengths) for f in fits])
+        for some in ([m for _, m, _ in trials], [f.apply_albedo(strengths) for f in fits])
     )
     assert np.std(together) < np.std(alone)
-    assert frame_strengths([]) == shipped_strengths()
+    assert estimate_strengths([]) == load_shipped_strengths()
 
 
 @pytest.mark.parametrize("columns_m", [250.0, 125.0])
 def test_crests_are_below_zero_and_slopes_are_steep(columns_m: float) -> None:
     away = np.abs(np.arange(161.0) - 80.0)
     ridge = np.repeat(-25.0 * away[:, None], 161, axis=1)
-    steep, crests = steepness_and_crests(ridge, (250.0, columns_m))
+    steep, crests = compute_steepness_and_crests(ridge, (250.0, columns_m))
     assert steep[40, 80] == pytest.approx(0.1, rel=0.01)
     # a ridge of 0.1 to both sides, rounded by a Gaussian, bends most at its middle
     width_m = SMOOTH_M * np.sqrt(250.0 / columns_m)  # as many nodes along rows as along columns
@@ -149,8 +149,8 @@ def test_the_patterns_are_of_the_ground_not_of_its_nodes() -> None:
     fine = ndimage.gaussian_filter(rng.normal(size=(200, 200)), 5.0) * 1e3
     coarse = fine.reshape(100, 2, 100, 2).mean(axis=(1, 3))
     for at_fine, at_coarse in zip(
-        steepness_and_crests(fine, 0.5 * POSTING_M),
-        steepness_and_crests(coarse, POSTING_M),
+        compute_steepness_and_crests(fine, 0.5 * POSTING_M),
+        compute_steepness_and_crests(coarse, POSTING_M),
         strict=True,
     ):
         means = at_fine.reshape(100, 2, 100, 2).mean(axis=(1, 3))
@@ -163,6 +163,6 @@ def test_the_patterns_are_of_the_ground_not_of_its_nodes() -> None:
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_strengths_halved_or_doubled_are_no_longer_those_of_the_moon(factor: float) -> None:
     """Of 367 squares the mean of crests is known to 0.05, of steepness to 0.06."""
-    shipped = shipped_strengths()
+    shipped = load_shipped_strengths()
     for strength, known in ((shipped.steepness, 0.06), (shipped.crests, 0.05)):
         assert abs(strength.mean * (factor - 1.0)) > 5.0 * known

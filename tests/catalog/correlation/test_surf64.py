@@ -6,11 +6,11 @@ import pytest
 
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.surf64 import (
-    cell_weights,
-    descriptors,
+    compute_descriptors,
+    compute_self_similarity_surface,
+    compute_similarity_surface,
+    make_cell_weights,
     match_surf,
-    own_similarity_surface,
-    similarity_surface,
 )
 
 
@@ -26,7 +26,7 @@ def direct_descriptor(image, row, col, cell_px, cells):
     part = image[row - side // 2 :, col - side // 2 :][: side + 1, : side + 1].astype(float)
     a, b, c, d = part[:-1, :-1], part[:-1, 1:], part[1:, :-1], part[1:, 1:]
     dx, dy = (b + d - a - c) / 2.0, (c + d - a - b) / 2.0
-    weights = cell_weights(cells)
+    weights = make_cell_weights(cells)
     values = []
     for i in range(cells):
         for j in range(cells):
@@ -40,7 +40,7 @@ def direct_descriptor(image, row, col, cell_px, cells):
 def test_descriptors_equal_the_sums_of_their_definition(cell_px, cells):
     image = relief(90, 1)
     rows, cols = np.array([36, 40, 52]), np.array([38, 50, 45])
-    found = descriptors(image, rows, cols, cell_px, cells)
+    found = compute_descriptors(image, rows, cols, cell_px, cells)
     assert found.shape == (3, 4 * cells * cells)
     for one, row, col in zip(found, rows, cols, strict=True):
         wanted = direct_descriptor(image, row, col, cell_px, cells)
@@ -51,19 +51,21 @@ def test_a_descriptor_knows_neither_gain_nor_offset():
     image = relief(64, 2)
     at = np.array([30]), np.array([31])
     np.testing.assert_allclose(
-        descriptors(image, *at, 8), descriptors(image * 3.0 + 40.0, *at, 8), atol=1e-5
+        compute_descriptors(image, *at, 8),
+        compute_descriptors(image * 3.0 + 40.0, *at, 8),
+        atol=1e-5,
     )
 
 
 def test_flat_ground_has_a_zero_descriptor_and_holes_do_not_spread():
     flat = np.full((40, 40), 7.0, np.float32)
-    assert not descriptors(flat, np.array([20]), np.array([20]), 8).any()
+    assert not compute_descriptors(flat, np.array([20]), np.array([20]), 8).any()
     holed = relief(80, 3)
     holed[5, 5] = np.nan
-    far = descriptors(holed, np.array([50]), np.array([50]), 8)
+    far = compute_descriptors(holed, np.array([50]), np.array([50]), 8)
     holed[5, 5] = 0.0
     np.testing.assert_allclose(
-        far, descriptors(holed, np.array([50]), np.array([50]), 8), atol=1e-6
+        far, compute_descriptors(holed, np.array([50]), np.array([50]), 8), atol=1e-6
     )
     assert np.isfinite(far).all()
 
@@ -71,13 +73,13 @@ def test_flat_ground_has_a_zero_descriptor_and_holes_do_not_spread():
 def test_a_square_that_leaves_the_image_is_refused():
     image = relief(40, 5)
     with pytest.raises(ValueError, match="leaves the 40 x 40 image"):
-        descriptors(image, np.array([15]), np.array([20]), 8)
+        compute_descriptors(image, np.array([15]), np.array([20]), 8)
     with pytest.raises(ValueError, match="leaves"):
-        descriptors(image, np.array([20]), np.array([24]), 8)
+        compute_descriptors(image, np.array([20]), np.array([24]), 8)
     middle = np.array([16])
     with pytest.raises(ValueError, match="leaves"):
-        descriptors(relief(32, 5), middle, middle, 8)
-    assert descriptors(relief(33, 5), middle, middle, 8).shape == (1, 64)
+        compute_descriptors(relief(32, 5), middle, middle, 8)
+    assert compute_descriptors(relief(33, 5), middle, middle, 8).shape == (1, 64)
 
 
 @pytest.mark.parametrize("size", [32, 64, 80])
@@ -110,7 +112,7 @@ def test_two_equal_places_give_a_match_without_weight():
 
 def test_the_similarity_of_the_true_place_is_one():
     ground = relief(80, 8)
-    surface = similarity_surface(ground[8:72, 8:72], ground)
+    surface = compute_similarity_surface(ground[8:72, 8:72], ground)
     assert surface.shape == (17, 17)
     # the search grid is smoothed with its surroundings, the reference without
     assert surface[8, 8] == surface.max() > 0.999
@@ -127,20 +129,20 @@ def test_a_surface_holds_the_cosines_of_the_descriptors_it_stands_for(size, side
     smooth = cv2.GaussianBlur(ground, (0, 0), 1.0)
     at = np.arange(size - side + 1) + (side - 1 - cells * cell_px) // 2 + cells * cell_px // 2
     rows, cols = np.meshgrid(at, at, indexing="ij")
-    there = descriptors(smooth, rows, cols, cell_px, cells)
+    there = compute_descriptors(smooth, rows, cols, cell_px, cells)
     wanted = (there @ there[there.shape[0] // 2]).reshape(rows.shape)
-    np.testing.assert_allclose(own_similarity_surface(ground, side), wanted, atol=2e-6)
+    np.testing.assert_allclose(compute_self_similarity_surface(ground, side), wanted, atol=2e-6)
     own = cv2.GaussianBlur(middle, (0, 0), 1.0)
     middles = np.array([(at.size // 2)])
-    own = descriptors(own, at[middles] - first, at[middles] - first, cell_px, cells)[0]
+    own = compute_descriptors(own, at[middles] - first, at[middles] - first, cell_px, cells)[0]
     wanted = (there @ own).reshape(rows.shape)
-    np.testing.assert_allclose(similarity_surface(middle, ground), wanted, atol=2e-6)
+    np.testing.assert_allclose(compute_similarity_surface(middle, ground), wanted, atol=2e-6)
 
 
 def test_sizes_that_cannot_be_centred_are_refused():
     with pytest.raises(ValueError, match="cannot be centred"):
-        similarity_surface(relief(33, 9), relief(80, 9))
+        compute_similarity_surface(relief(33, 9), relief(80, 9))
     with pytest.raises(ValueError, match="cannot be centred"):
-        similarity_surface(relief(80, 9), relief(64, 9))
+        compute_similarity_surface(relief(80, 9), relief(64, 9))
     with pytest.raises(ValueError, match="cannot be centred"):
-        own_similarity_surface(relief(80, 9), 33)
+        compute_self_similarity_surface(relief(80, 9), 33)

@@ -26,7 +26,7 @@ def test_one_degree_gives_the_41252_control_points_of_the_seed():
 def test_a_point_lies_within_the_bounds_of_its_cell(step):
     grid = CellGrid(step)
     lat, lon = anywhere(np.random.default_rng(6), 500)
-    cells = grid.cell_of(lat, lon)
+    cells = grid.find_cells(lat, lon)
     assert cells.min() >= 0
     assert cells.max() < grid.total
     for la, lo, cell in zip(lat, lon, cells, strict=True):
@@ -41,9 +41,9 @@ def test_bounds_of_many_cells_are_those_of_each(step):
     grid = CellGrid(step)
     cells = np.unique(np.linspace(0, grid.total - 1, 500).astype(np.int64))
     np.testing.assert_array_equal(
-        grid.bounds_of(cells).T, [grid.bounds_deg(int(cell)) for cell in cells]
+        grid.compute_bounds_deg(cells).T, [grid.bounds_deg(int(cell)) for cell in cells]
     )
-    assert grid.bands_of(cells).tolist() == [grid.band_of(int(cell)) for cell in cells]
+    assert grid.find_bands(cells).tolist() == [grid.find_band(int(cell)) for cell in cells]
 
 
 @pytest.mark.parametrize("step", STEPS)
@@ -56,7 +56,7 @@ def test_the_middle_of_every_cell_lies_in_that_cell(step):
         )
     )
     for cell in cells:
-        assert grid.cell_of(*grid.centre_deg(int(cell))) == cell
+        assert grid.find_cells(*grid.centre_deg(int(cell))) == cell
 
 
 def test_cells_tile_the_sphere_with_areas_of_about_the_same_size():
@@ -78,7 +78,7 @@ def test_cells_tile_the_sphere_with_areas_of_about_the_same_size():
 def test_longitudes_of_any_turn_name_the_same_cell(turns):
     grid = CellGrid(1.0)
     lat, lon = np.array([-43.3, 12.2, 80.4]), np.array([-11.37, 179.63, -0.41])
-    assert (grid.cell_of(lat, lon + turns) == grid.cell_of(lat, lon)).all()
+    assert (grid.find_cells(lat, lon + turns) == grid.find_cells(lat, lon)).all()
 
 
 @pytest.mark.parametrize("step", [0.7, 1.0, 7.0, 45.0, 90.0])
@@ -86,7 +86,7 @@ def test_within_finds_every_cell_that_holds_a_point_near_enough(step):
     grid = CellGrid(step)
     rng = np.random.default_rng(8)
     lat, lon = anywhere(rng, 2000)
-    cells = grid.cell_of(lat, lon)
+    cells = grid.find_cells(lat, lon)
     places = [
         (90.0, 0.0),
         (-90.0, 10.0),
@@ -101,7 +101,7 @@ def test_within_finds_every_cell_that_holds_a_point_near_enough(step):
     ]
     for centre_lat, centre_lon in places:
         for radius in (0.0, 0.3, 2.0, 20.0, 89.0, 91.0, 180.0):
-            found = grid.within(centre_lat, centre_lon, radius)
+            found = grid.find_cells_within(centre_lat, centre_lon, radius)
             assert (np.diff(found) > 0).all()
             away = np.degrees(
                 angular_distance(
@@ -113,27 +113,27 @@ def test_within_finds_every_cell_that_holds_a_point_near_enough(step):
 
 def test_within_is_not_the_whole_sphere():
     grid = CellGrid(1.0)
-    assert len(grid.within(0.0, 180.0, 2.0)) < 50
-    assert len(grid.within(60.0, 0.0, 2.0)) < 70
-    assert len(grid.within(90.0, 0.0, 2.0)) < 40
+    assert len(grid.find_cells_within(0.0, 180.0, 2.0)) < 50
+    assert len(grid.find_cells_within(60.0, 0.0, 2.0)) < 70
+    assert len(grid.find_cells_within(90.0, 0.0, 2.0)) < 40
 
 
 def test_a_circle_of_no_size_is_one_cell_or_its_direct_neighbours():
     grid = CellGrid(1.0)
-    assert int(grid.cell_of(12.3, 45.6)) in grid.within(12.3, 45.6, 0.0)
+    assert int(grid.find_cells(12.3, 45.6)) in grid.find_cells_within(12.3, 45.6, 0.0)
 
 
 @pytest.mark.parametrize("turn", [-360.0, 0.0, 360.0])
 def test_within_takes_longitudes_of_any_turn(turn):
     grid = CellGrid(1.0)
-    assert (grid.within(30.0, 179.5 + turn, 3.0) == grid.within(30.0, 179.5, 3.0)).all()
+    assert (grid.find_cells_within(30.0, 179.5 + turn, 3.0) == grid.within(30.0, 179.5, 3.0)).all()
 
 
 def test_a_box_across_the_antimeridian_is_the_two_boxes_at_its_sides():
     grid = CellGrid(1.0)
-    across = grid.in_bbox(170.0, -20.0, -165.0, 10.0)
-    east = grid.in_bbox(170.0, -20.0, 180.0, 10.0)
-    west = grid.in_bbox(-180.0, -20.0, -165.0, 10.0)
+    across = grid.find_cells_in_bbox(170.0, -20.0, -165.0, 10.0)
+    east = grid.find_cells_in_bbox(170.0, -20.0, 180.0, 10.0)
+    west = grid.find_cells_in_bbox(-180.0, -20.0, -165.0, 10.0)
     assert sorted([*east, *west]) == across.tolist()
     for cell in across:
         lat, lon = grid.centre_deg(int(cell))
@@ -147,7 +147,7 @@ def test_a_box_across_the_antimeridian_is_the_two_boxes_at_its_sides():
 @pytest.mark.parametrize("step", [1.0, 7.0, 90.0])
 def test_a_box_of_all_longitudes_holds_every_cell(box, step):
     grid = CellGrid(step)
-    assert grid.in_bbox(*box).tolist() == list(range(grid.total))
+    assert grid.find_cells_in_bbox(*box).tolist() == list(range(grid.total))
 
 
 def test_a_box_agrees_with_a_look_at_every_cell():
@@ -159,7 +159,7 @@ def test_a_box_agrees_with_a_look_at_every_cell():
             lat, lon = (s + n) / 2.0, (w + e) / 2.0
             if south <= lat <= north and (lon - west) % 360.0 <= (east - west) % 360.0:
                 wanted.append(cell)
-        assert grid.in_bbox(west, south, east, north).tolist() == wanted
+        assert grid.find_cells_in_bbox(west, south, east, north).tolist() == wanted
 
 
 @pytest.mark.parametrize("step", [0.0, -1.0, 90.1, np.inf, np.nan])
@@ -172,5 +172,5 @@ def test_a_step_of_a_thousandth_degree_is_still_exact():
     grid = CellGrid(0.001)
     rng = np.random.default_rng(9)
     lat, lon = anywhere(rng, 50)
-    for cell in grid.cell_of(lat, lon):
-        assert grid.cell_of(*grid.centre_deg(int(cell))) == cell
+    for cell in grid.find_cells(lat, lon):
+        assert grid.find_cells(*grid.centre_deg(int(cell))) == cell

@@ -5,11 +5,11 @@ import pyproj
 import pytest
 
 from catalog.geometry.ellipsoid import (
-    foot_of,
+    compute_normals,
+    find_foot,
     geodetic_from_xyz,
-    height_above,
-    normal_at,
-    surface_at,
+    measure_height_above,
+    project_to_surface,
 )
 from catalog.geometry.projection import TangentPlane
 
@@ -24,34 +24,36 @@ def directions(count: int, seed: int = 1) -> np.ndarray:
 
 @pytest.mark.parametrize("height", [0.0, 3000.0, -1500.0, 1e9])
 def test_a_foot_is_found_again_from_any_height_over_it(height: float) -> None:
-    foot = surface_at(directions(500), PHOBOS)
-    found = foot_of(foot + height * normal_at(foot, PHOBOS), PHOBOS)
+    foot = project_to_surface(directions(500), PHOBOS)
+    found = find_foot(foot + height * compute_normals(foot, PHOBOS), PHOBOS)
     assert np.abs(found - foot).max() < 1e-7 * max(1.0, height / 1e6)
 
 
 def test_heights_along_a_planes_normal_lead_to_the_near_side() -> None:
-    plane = TangentPlane.below([6.0e3, 7.0e3, 3.0e3], PHOBOS)
+    plane = TangentPlane.make_below([6.0e3, 7.0e3, 3.0e3], PHOBOS)
     x, y = np.meshgrid(np.linspace(-6e3, 6e3, 9), np.linspace(-5e3, 5e3, 9))
     up = plane.body_from_local[:, 2]
-    height = height_above(plane.points(x, y, 0.0), up, PHOBOS)
+    height = measure_height_above(plane.points(x, y, 0.0), up, PHOBOS)
     found = plane.points(x, y, height)
     assert np.square(found / PHOBOS).sum(axis=-1) == pytest.approx(np.ones((9, 9)), abs=1e-12)
-    assert (normal_at(found, PHOBOS) @ up > 0.0).all()
+    assert (compute_normals(found, PHOBOS) @ up > 0.0).all()
     assert height[4, 4] == pytest.approx(0.0, abs=1e-8)
-    assert np.isnan(height_above(plane.points(2e4, 0.0, 0.0), up, PHOBOS))
+    assert np.isnan(measure_height_above(plane.points(2e4, 0.0, 0.0), up, PHOBOS))
 
 
 def test_surface_points_satisfy_the_ellipsoids_equation() -> None:
-    foot = surface_at(directions(100), PHOBOS)
+    foot = project_to_surface(directions(100), PHOBOS)
     assert np.square(foot / PHOBOS).sum(axis=1) == pytest.approx(np.ones(100), abs=1e-14)
 
 
 def test_normals_are_those_of_the_slope_between_near_points() -> None:
     middle = directions(50)
     aside = np.cross(middle, directions(53, seed=2)[3:])
-    near = [surface_at(middle + sign * 1e-5 * aside, PHOBOS) for sign in (1.0, -1.0)]
+    near = [project_to_surface(middle + sign * 1e-5 * aside, PHOBOS) for sign in (1.0, -1.0)]
     along = (near[0] - near[1]) / np.linalg.norm(near[0] - near[1], axis=1)[:, None]
-    cosine = np.einsum("ij,ij->i", along, normal_at(surface_at(middle, PHOBOS), PHOBOS))
+    cosine = np.einsum(
+        "ij,ij->i", along, compute_normals(project_to_surface(middle, PHOBOS), PHOBOS)
+    )
     assert np.abs(cosine).max() < 1e-8
 
 
@@ -62,22 +64,22 @@ def test_the_foot_agrees_with_proj_on_an_oblate_spheroid() -> None:
     points = directions(200) * 6.38e6  # so low PROJ's own formula is good to 4e-6 m
     to_geodetic = Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
     lon, lat, height = to_geodetic.transform(*points.T)
-    foot = foot_of(points, radii)
+    foot = find_foot(points, radii)
     assert np.linalg.norm(points - foot, axis=1) == pytest.approx(height, abs=1e-5)
-    normal = normal_at(foot, radii)
+    normal = compute_normals(foot, radii)
     assert np.degrees(np.arcsin(normal[:, 2])) == pytest.approx(lat, abs=1e-9)
     assert np.abs(np.degrees(np.arctan2(normal[3:, 1], normal[3:, 0])) - lon[3:]).max() < 1e-9
 
 
 def test_the_centre_has_no_foot() -> None:
     with pytest.raises(ValueError, match="no one foot"):
-        foot_of([0.0, 0.0, 0.0], PHOBOS)
+        find_foot([0.0, 0.0, 0.0], PHOBOS)
 
 
 def test_a_tangent_plane_goes_through_its_point_and_comes_back() -> None:
     for direction in directions(20):
-        point = 1.05 * surface_at(direction, PHOBOS)
-        plane = TangentPlane.below(point, PHOBOS)
+        point = 1.05 * project_to_surface(direction, PHOBOS)
+        plane = TangentPlane.make_below(point, PHOBOS)
         x, y = plane.xy_from_xyz(point)
         assert (float(x), float(y)) == pytest.approx((0.0, 0.0), abs=1e-6)
         assert plane.points(0.0, 0.0, plane.height_of(point)) == pytest.approx(point, abs=1e-6)
@@ -96,7 +98,7 @@ def test_a_tangent_plane_goes_through_its_point_and_comes_back() -> None:
 
 
 def test_a_tangent_planes_axes_point_east_and_north() -> None:
-    plane = TangentPlane.below(1.02 * surface_at([0.5, 0.4, 0.6], PHOBOS), PHOBOS)
+    plane = TangentPlane.make_below(1.02 * project_to_surface([0.5, 0.4, 0.6], PHOBOS), PHOBOS)
     lat, lon = plane.latlon(np.array([0.0, 100.0, 0.0]), np.array([0.0, 0.0, 100.0]), 200.0)
     assert lon[1] > lon[0]
     assert lat[2] > lat[0]

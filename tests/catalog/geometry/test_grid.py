@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.ndimage import map_coordinates
 
-from catalog.geometry.grid import bicubic_at, sample_bicubic, sample_rows
+from catalog.geometry.grid import interpolate_bicubic, sample_bicubic, sample_rows
 
 
 def keys(distance):
@@ -37,7 +37,7 @@ def test_bicubic_is_keys_convolution_inside(grid):
         wanted = sum(
             keys(row - r) * keys(col - c) * float(grid[r, c]) for r in range(17) for c in range(23)
         )
-        assert bicubic_at(grid, row, col) == pytest.approx(wanted, abs=1e-6)
+        assert interpolate_bicubic(grid, row, col) == pytest.approx(wanted, abs=1e-6)
 
 
 def test_bicubic_gives_nodes_and_quadratics_back_exactly():

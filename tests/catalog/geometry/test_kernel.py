@@ -13,7 +13,7 @@ import pytest
 from numba.core.errors import NumbaError
 
 from catalog.arrays import FloatArray
-from catalog.geometry.kernel import bare_kernel
+from catalog.geometry.kernel import inplace_kernel
 
 CHECKOUT = Path(__file__).resolve().parents[3]
 KERNEL = "from catalog.geometry.kernel import kernel\n@kernel\ndef twice(x):\n    return 2.0 * x\n"
@@ -233,16 +233,16 @@ def test_a_bare_kernel_that_makes_or_returns_an_array_is_refused() -> None:
         return float(np.ones(size).sum())
 
     with pytest.raises(NumbaError):
-        bare_kernel(makes)(3)
+        inplace_kernel(makes)(3)
 
     def gives(grid: FloatArray) -> FloatArray:
         return grid[1:]
 
     with pytest.raises(TypeError, match="gives returns an array"):
-        bare_kernel(gives)
+        inplace_kernel(gives)
 
 
-@bare_kernel
+@inplace_kernel
 def _sum_of_rows(grid: FloatArray) -> float:
     total = 0.0
     for i in range(grid.shape[0]):

@@ -5,7 +5,7 @@ import pytest
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
-from catalog.geometry.map_pieces import area_pieces, clip_ring, line_pieces
+from catalog.geometry.map_pieces import clip_ring, split_area, split_line
 from catalog.geometry.vectors import perpendicular_basis
 
 
@@ -58,7 +58,7 @@ CAPS = [
 @pytest.mark.parametrize("circle", CAPS)
 def test_the_pieces_of_a_cap_hold_what_the_cap_holds(circle: tuple[float, float, float]) -> None:
     lat, lon, radius = circle
-    pieces = area_pieces(cap(*circle))
+    pieces = split_area(cap(*circle))
     for ring in pieces:
         np.testing.assert_array_equal(ring[0], ring[-1])
         assert np.abs(ring[:, 0]).max() <= 180.0 + 1e-9
@@ -79,11 +79,11 @@ def test_the_pieces_of_a_cap_hold_what_the_cap_holds(circle: tuple[float, float,
 
 
 def test_an_area_across_180_degrees_has_two_pieces_and_one_about_a_pole_reaches_it() -> None:
-    assert len(area_pieces(cap(0.0, 180.0, 10.0))) == 2
-    (polar,) = area_pieces(cap(90.0, 0.0, 10.0))
+    assert len(split_area(cap(0.0, 180.0, 10.0))) == 2
+    (polar,) = split_area(cap(90.0, 0.0, 10.0))
     assert polar[:, 1].max() == 90.0
     assert (polar[:, 0].min(), polar[:, 0].max()) == pytest.approx((-180.0, 180.0))
-    assert len(area_pieces(cap(0.0, 0.0, 10.0))) == 1
+    assert len(split_area(cap(0.0, 0.0, 10.0))) == 1
 
 
 def test_a_comb_across_180_degrees_is_cut_into_its_teeth() -> None:
@@ -93,20 +93,20 @@ def test_a_comb_across_180_degrees_is_cut_into_its_teeth() -> None:
         teeth += [(175.0, lat), (-170.0, lat), (-170.0, lat - 4.0), (175.0, lat - 4.0)]
     teeth += [(170.0, -4.0)]
     lon, lat = np.array(teeth[::-1]).T
-    pieces = area_pieces(directions(lat, lon))
+    pieces = split_area(directions(lat, lon))
     east = [ring for ring in pieces if ring[:, 0].max() < 0.0]
     assert (len(pieces), len(east)) == (4, 3)
     assert [ring[:, 0].min() for ring in east] == [-180.0] * 3
 
 
 def test_a_line_is_cut_at_180_degrees_and_goes_over_the_pole() -> None:
-    whole = line_pieces(directions(np.array([0.0, 10.0]), np.array([0.0, 20.0])))
+    whole = split_line(directions(np.array([0.0, 10.0]), np.array([0.0, 20.0])))
     assert len(whole) == 1
     np.testing.assert_allclose(whole[0][[0, -1]], [[0.0, 0.0], [20.0, 10.0]], atol=1e-9)
-    west, east = line_pieces(directions(np.array([0.0, 10.0]), np.array([170.0, -170.0])))
+    west, east = split_line(directions(np.array([0.0, 10.0]), np.array([170.0, -170.0])))
     assert (west[-1, 0], east[0, 0]) == (180.0, -180.0)
     assert west[-1, 1] == pytest.approx(east[0, 1])
-    over = line_pieces(directions(np.array([80.0, 80.0]), np.array([30.0, -151.0])))
+    over = split_line(directions(np.array([80.0, 80.0]), np.array([30.0, -151.0])))
     lon, lat = np.vstack(over).T
     assert lat.max() > 89.8
     steps = np.diff(directions(lat, lon), axis=0)

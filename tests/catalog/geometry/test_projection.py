@@ -6,7 +6,12 @@ from numpy.testing import assert_allclose
 from pyproj import CRS, Transformer
 
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.geometry.projection import Stereographic, TangentPlane, node_grid, node_offsets
+from catalog.geometry.projection import (
+    Stereographic,
+    TangentPlane,
+    make_node_grid,
+    make_node_offsets,
+)
 
 RADIUS_M = 1737400.0
 CENTRES = [(0.0, 0.0), (-43.3, -11.2), (60.0, 180.0), (-5.0, -180.0), (90.0, 0.0), (-90.0, 30.0)]
@@ -82,10 +87,10 @@ def test_the_antipode_has_no_finite_place_and_warns_nobody():
 
 @pytest.mark.parametrize("size", [1, 2, 5, 80])
 def test_nodes_are_centred_with_north_up_and_west_left(size):
-    x, y = node_grid(size, 118.0)
+    x, y = make_node_grid(size, 118.0)
     assert x.shape == y.shape == (size, size)
     assert_allclose([x.mean(), y.mean()], 0.0, atol=1e-9)
-    assert_allclose(x[0], node_offsets(size, 118.0))
+    assert_allclose(x[0], make_node_offsets(size, 118.0))
     assert_allclose(np.diff(x, axis=1), 118.0)
     assert_allclose(np.diff(y, axis=0), -118.0)
 
@@ -95,5 +100,5 @@ def test_nodes_are_centred_with_north_up_and_west_left(size):
 )
 def test_nodes_with_heights_are_the_points_of_their_places(projection):
     heights = np.random.default_rng(6).uniform(-3e3, 3e3, (7, 7)).astype(np.float32)
-    points = projection.points(*node_grid(7, 118.0), heights)
+    points = projection.points(*make_node_grid(7, 118.0), heights)
     assert_allclose(projection.nodes(heights, 118.0), points, rtol=1e-15)

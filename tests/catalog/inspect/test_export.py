@@ -64,7 +64,7 @@ def test_gdal_s_own_programs_read_points_at_the_poles_and_180_degrees(
     if ogr2ogr is None or ogrinfo is None:
         pytest.skip("needs GDAL's ogr2ogr and ogrinfo")
     grid = CellGrid(world.meta.cell_deg)
-    cells = [int(grid.cell_of(*place)) for place in EDGES]
+    cells = [int(grid.find_cells(*place)) for place in EDGES]
     assert sorted(set(cells)) == cells
     pairs = [
         (replace(point, id=cell, lat_deg=place[0], lon_deg=place[1]), patches)

@@ -12,7 +12,7 @@ import rasterio
 
 from catalog.errors import DataError, OutputError
 from catalog.geometry.cells import CellGrid
-from catalog.geometry.projection import node_grid
+from catalog.geometry.projection import make_node_grid
 from catalog.inspect.export import export_patch_heights
 from catalog.store.manifest import PlanesMeta
 from catalog.store.reader import Catalog
@@ -22,7 +22,7 @@ PLACES = ((-90.0, -180.0), (-43.1234567, -11.7654321), (0.05, 179.9999999), (89.
 
 def moved(world: Any, place: tuple[float, float], path: Path) -> Path:
     """A catalog of one point, with a hole in its ground, at a place."""
-    cell = int(CellGrid(world.meta.cell_deg).cell_of(*place))
+    cell = int(CellGrid(world.meta.cell_deg).find_cells(*place))
     point, patches = next(pair for pair in world.points if pair[0].id % 3 == 0)
     pair = replace(point, id=cell, lat_deg=place[0], lon_deg=place[1]), patches
     written: Path = type(world)(world.meta, [pair]).write(path).path
@@ -51,7 +51,7 @@ def test_proj_puts_every_node_where_the_catalog_has_it(
     assert crs.ellipsoid.semi_major_metre == catalog.meta.radius_m
     to_places = pyproj.Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)
     lon, lat = np.radians(to_places.transform(x, y))
-    wanted = node_grid(size, patch.posting_m)
+    wanted = make_node_grid(size, patch.posting_m)
     found = projection.xy_from_latlon(lat, lon)
     off = np.hypot(*(theirs - ours.ravel() for theirs, ours in zip(found, wanted)))
     assert off.max() < 1e-3 * patch.posting_m  # a tenth of a node is wanted

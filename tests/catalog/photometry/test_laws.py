@@ -8,9 +8,9 @@ import pytest
 from catalog.errors import ConfigError
 from catalog.photometry.laws import (
     LAWS,
+    find_law,
     lambert,
     lambert_scalar,
-    law_by_name,
     lommel_seeliger,
     lommel_seeliger_scalar,
     lunar_lambert,
@@ -24,7 +24,7 @@ COS_G = MU0 * MU + np.sqrt((1 - MU0**2) * (1 - MU**2)) * np.cos(RNG.uniform(0, n
 
 @pytest.mark.parametrize("name", LAWS)
 def test_every_law_is_reversible_positive_and_dark_at_night(name):
-    law = law_by_name(name)
+    law = find_law(name)
     values = law(MU0, MU, COS_G)
     assert (values >= 0.0).all()
     assert values.shape == MU0.shape
@@ -66,4 +66,4 @@ def test_lunar_lambert_at_thirty_degrees_is_what_isis_normalises_by():
 
 def test_a_law_that_does_not_exist_is_named_with_those_that_do():
     with pytest.raises(ConfigError, match=r"'lunar'.*hapke.*lambert"):
-        law_by_name("lunar")
+        find_law("lunar")

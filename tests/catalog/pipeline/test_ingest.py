@@ -36,7 +36,7 @@ def test_a_region_covers_the_cells_it_touches(tmp_path, dems, moon):
     assert 36 <= cells.size <= 64
     assert np.abs(middles - [10.0, 20.0]).max() < 3.6
     # and none with its middle well inside is forgotten
-    inside = grid.in_bbox(17.6, 7.6, 22.4, 12.4)
+    inside = grid.find_cells_in_bbox(17.6, 7.6, 22.4, 12.4)
     assert np.isin(inside, cells).all()
 
 
@@ -58,7 +58,7 @@ def test_a_hole_in_the_middle_of_a_cell_does_not_drop_it(tmp_path, dems, moon):
     path = dems.write(tmp_path / "r.tif", values, affine=affine)
     grid = CellGrid(1.0)
     cells = covered_cells(mosaic_of(moon, tmp_path, path), grid, None)
-    assert int(grid.cell_of(10.0, 20.0)) in cells
+    assert int(grid.find_cells(10.0, 20.0)) in cells
 
 
 def test_a_bbox_crosses_180_degrees_where_west_is_greater(tmp_path, dems, moon):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from catalog.correlation.surf64 import own_similarity_surface
+from catalog.correlation.surf64 import compute_self_similarity_surface
 from catalog.errors import ConfigError, DataError, NothingToDoError
 from catalog.pipeline.build import run
 from catalog.pipeline.check import described_side
@@ -61,7 +61,7 @@ CORNERS = {
 def test_a_square_can_be_described_in_patches_of_every_size(size):
     side = described_side(size)
     brightness = np.random.default_rng(size).random((size, size)).astype(np.float32)
-    surface = own_similarity_surface(brightness, side)
+    surface = compute_self_similarity_surface(brightness, side)
     assert surface.shape == (size - side + 1,) * 2
     assert 0.0 <= uniqueness_margin(brightness, side, 8.0) <= 1.0
 

@@ -20,7 +20,7 @@ from catalog.pipeline.build import run
 from catalog.store.manifest import rows_from_meta
 from catalog.store.reader import Catalog
 from catalog.store.verify import verify
-from catalog.terrain.mesh.rays import first_of_all
+from catalog.terrain.mesh.rays import intersect_all
 from catalog.terrain.mesh.terrain import MeshTerrain
 
 BBOX = (-15.0, -11.0, 16.0, 21.0)
@@ -91,7 +91,7 @@ def test_patches_lie_where_exact_rays_meet_the_shape(folder, terrain) -> None:
                 x, y = (col - 39.5) * patch.posting_m, (39.5 - row) * patch.posting_m
                 start = plane.points(x, y, 3e4)
                 down = -plane.body_from_local[:, 2]
-                _, at = first_of_all(terrain.rays.corners, start, down, 0.0)
+                _, at = intersect_all(terrain.rays.corners, start, down, 0.0)
                 assert patch.heights_m[row, col] == pytest.approx(3e4 - at, abs=0.2)
 
 
@@ -99,7 +99,7 @@ def test_points_stand_on_the_shape_and_in_their_cells(folder, terrain) -> None:
     with Catalog.open(folder / "phobos.gpkg") as catalog:
         ground = terrain.points(np.radians(catalog.lat_deg), np.radians(catalog.lon_deg))
         assert np.linalg.norm(ground, axis=1) == pytest.approx(catalog.radius_m, abs=0.01)
-        assert (catalog.grid.cell_of(catalog.lat_deg, catalog.lon_deg) == catalog.ids).all()
+        assert (catalog.grid.find_cells(catalog.lat_deg, catalog.lon_deg) == catalog.ids).all()
         assert not (catalog.records["flags"] & int(Flag.NO_DATA)).any()
 
 

@@ -57,7 +57,7 @@ def context(mosaic):
 
 @pytest.fixture(scope="module")
 def cells(context):
-    return [int(cell) for cell in context.grid.in_bbox(*BBOX)]
+    return [int(cell) for cell in context.grid.find_cells_in_bbox(*BBOX)]
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def test_candidates_lie_in_their_cells_and_apart(context, rendered, cells):
     for record in rendered:
         assert 1 <= len(record.candidates) <= 4
         for k, one in enumerate(record.candidates):
-            assert context.grid.cell_of(one.lat_deg, one.lon_deg) == record.cell
+            assert context.grid.find_cells(one.lat_deg, one.lon_deg) == record.cell
             assert one.error_px.shape == (2, 6)
             assert one.hessian_eigenvalue > 0.0
             for other in record.candidates[:k]:
@@ -302,14 +302,14 @@ def test_a_place_beside_the_terrain_s_edge_says_that_it_lacks_data(context, sele
 
 def test_a_cell_at_the_edge_takes_places_whose_fine_patches_are_whole(context):
     # a patch of the third level reaches 38 km, 1.25 deg, from its point
-    cell = int(context.grid.cell_of(-46.5, -11.0))
+    cell = int(context.grid.find_cells(-46.5, -11.0))
     for candidate in render.render_chunk(context, [cell])[0].candidates:
         assert max(candidate.missing) <= cell_map.MAX_MISSING
         assert candidate.lat_deg > -46.9
 
 
 def test_a_cell_without_ground_is_left_out(context):
-    far = int(context.grid.cell_of(20.0, 100.0))
+    far = int(context.grid.find_cells(20.0, 100.0))
     assert render.render_chunk(context, [far]) == []
 
 

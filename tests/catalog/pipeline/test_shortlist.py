@@ -76,10 +76,10 @@ def test_company_does_not_matter(globe, alone):
     rng = np.random.default_rng(1)
     groups = [
         rng.permutation(grid.total)[:40],
-        grid.in_bbox(170.0, -30.0, -170.0, 30.0),
-        grid.in_bbox(-180.0, 10.0, -160.0, 60.0)[::-1],
-        np.array([int(grid.cell_of(12.0, 179.9))]),
-        np.array([int(grid.cell_of(12.0, -179.9))]),
+        grid.find_cells_in_bbox(170.0, -30.0, -170.0, 30.0),
+        grid.find_cells_in_bbox(-180.0, 10.0, -160.0, 60.0)[::-1],
+        np.array([int(grid.find_cells(12.0, 179.9))]),
+        np.array([int(grid.find_cells(12.0, -179.9))]),
     ]
     for cells in groups:
         found = shortlist.shortlists(globe, cells)
@@ -88,7 +88,7 @@ def test_company_does_not_matter(globe, alone):
 
 
 def test_memory_bounds_the_sweep_and_not_the_result(globe, monkeypatch):
-    cells = globe.grid.in_bbox(-180.0, -20.0, 180.0, 20.0)
+    cells = globe.grid.find_cells_in_bbox(-180.0, -20.0, 180.0, 20.0)
     whole = shortlist.shortlists(globe, cells)
     sizes = []
     of_graticule = Mosaic.graticule_heights
@@ -111,7 +111,7 @@ def test_places_lie_in_their_cells_and_apart(globe):
         west, south, east, north = globe.grid.bounds_deg(cell)
         assert 1 <= len(found.places) <= 3
         for k, (lat, lon) in enumerate(found.places):
-            assert globe.grid.cell_of(lat, lon) == cell
+            assert globe.grid.find_cells(lat, lon) == cell
             if abs(lat) < 60.0:
                 inset = settings.inset_cell
                 assert min(lat - south, north - lat) >= (inset - 1e-9) * (north - south)
@@ -124,7 +124,7 @@ def test_places_lie_in_their_cells_and_apart(globe):
 
 def test_chosen_places_respond_as_the_best_of_a_cell_s_own_ground_do(tycho, alone):
     """Both ways' places, each on a map grid about itself. Windows stand on other nodes: 10 %."""
-    cells = tycho.grid.in_bbox(-15.0, -46.0, -7.0, -40.0)
+    cells = tycho.grid.find_cells_in_bbox(-15.0, -46.0, -7.0, -40.0)
     swept = shortlist.shortlists(tycho, cells)
     assert not alone
     window = tycho.config.render.window_nodes
@@ -152,11 +152,11 @@ def test_cells_beside_holes_have_their_own_ground(tmp_path, dems, alone):
     heights[150:155, 150:155] = -9999.0
     path = dems.write(tmp_path / "holed.tif", heights, affine=affine, nodata=-9999.0)
     context = context_of(Path(tmp_path), path, window_nodes=16)
-    cells = context.grid.in_bbox(14.0, 4.0, 26.0, 16.0)
+    cells = context.grid.find_cells_in_bbox(14.0, 4.0, 26.0, 16.0)
     found = shortlist.shortlists(context, cells)
-    hole = int(context.grid.cell_of(affine.f - 0.02 * 152.5, affine.c + 0.02 * 152.5))
-    corner = int(context.grid.cell_of(affine.f - 0.3, affine.c + 0.3))
-    inner = int(context.grid.cell_of(10.3, 22.0))
+    hole = int(context.grid.find_cells(affine.f - 0.02 * 152.5, affine.c + 0.02 * 152.5))
+    corner = int(context.grid.find_cells(affine.f - 0.3, affine.c + 0.3))
+    inner = int(context.grid.find_cells(10.3, 22.0))
     assert {hole, corner} <= set(alone)
     assert inner not in alone
     assert found[inner].complete
@@ -177,7 +177,7 @@ def test_two_terrain_models_give_the_same_in_any_company(tmp_path, dems):
     context = context_of(
         Path(tmp_path), top, below, cell_deg=5.0, window_nodes=16, posting_m=15_000.0
     )
-    cells = context.grid.in_bbox(150.0, -20.0, -170.0, 40.0)
+    cells = context.grid.find_cells_in_bbox(150.0, -20.0, -170.0, 40.0)
     whole = shortlist.shortlists(context, cells)
     for cell in cells[::7].tolist():
         assert same(shortlist.shortlists(context, [cell])[cell], whole[cell])
@@ -191,4 +191,4 @@ def test_wide_cells_have_shortlists_too(tmp_path, dems, cell_deg):
     found = shortlist.shortlists(context, range(context.grid.total))
     assert len(found) == context.grid.total
     for cell, one in list(found.items())[:: max(1, len(found) // 200)]:
-        assert np.all(context.grid.cell_of(*one.places.T) == cell)
+        assert np.all(context.grid.find_cells(*one.places.T) == cell)

@@ -7,16 +7,16 @@ import pytest
 import rasterio
 
 from catalog.config import resource
-from catalog.correlation.ncc import high_pass
+from catalog.correlation.ncc import filter_high_pass
 from catalog.errors import ConfigError
-from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.projection import Stereographic, make_node_grid
 from catalog.photometry import hapke
 from catalog.photometry.hapke import LUNAR
 from catalog.photometry.laws import HAPKE, LAW_NUMBERS, NORMAL_ALBEDO, SurfaceLaw
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE
 from catalog.rendering.map_view import render_levels, render_map, render_map_near
 from catalog.rendering.shading import NEAR, TABLE, Lighting
-from catalog.rendering.shadow import NO_FIELD, NO_TABLE, illuminated, map_grid
+from catalog.rendering.shadow import NO_FIELD, NO_TABLE, compute_illumination, map_grid
 from catalog.rendering.swept import Sweep, sweep_grid
 from tests.bench import hillshade
 
@@ -39,7 +39,7 @@ def tycho():
 
 def normals_from_points(heights, posting, radius):
     """Unit normals of the inner nodes from the places of their neighbours in space."""
-    x, y = node_grid(heights.shape[0], posting)
+    x, y = make_node_grid(heights.shape[0], posting)
     place = Stereographic(0.3, 1.0, radius)
     points = place.points(x, y, heights.astype(np.float64)) @ place.body_from_local
     east = points[1:-1, 2:] - points[1:-1, :-2]
@@ -130,8 +130,8 @@ def test_the_slope_table_is_as_good_as_hapke_node_by_node(
     light = Lighting(
         TABLE, towards, view, 1.0, SurfaceLaw(HAPKE, LUNAR, NORMAL_ALBEDO), NO_FIELD.limits
     )
-    exact = illuminated(grid, light, None, 10 * size)  # too large a table for so few nodes
-    read = illuminated(grid, light, None, size)
+    exact = compute_illumination(grid, light, None, 10 * size)  # too large a table for so few nodes
+    read = compute_illumination(grid, light, None, size)
     error = read - exact
     assert np.sqrt((error**2).mean()) < factor * 1e-3 * exact.std()
     assert np.abs(error).max() < factor * 1e-3
@@ -242,7 +242,7 @@ def test_the_quick_shading_for_a_near_camera_is_that_of_every_node(tycho, camera
     )
     law = SurfaceLaw(LAW_NUMBERS["lunar_lambert"], LUNAR, NORMAL_ALBEDO)
     light = Lighting(NEAR, sun / np.linalg.norm(sun), np.array(camera_m), 0.0, law, NO_TABLE)
-    exact = illuminated(map_grid(heights, 400.0, 1737400.0), light, (), TABLE_SIZE)
+    exact = compute_illumination(map_grid(heights, 400.0, 1737400.0), light, (), TABLE_SIZE)
     assert np.isnan(exact).any()
     np.testing.assert_allclose(quick, exact, atol=1e-7)
 
@@ -262,11 +262,11 @@ def test_hapkes_law_for_a_near_camera_is_nearly_that_of_every_node(tycho, camera
     )
     np.testing.assert_array_equal(np.isnan(quick), np.isnan(exact))
     np.testing.assert_array_equal(quick == 0.0, exact == 0.0)
-    wanted = high_pass(exact)
+    wanted = filter_high_pass(exact)
 
     def off(grid):
         """What a pattern leaves over, at the best contrast."""
-        pattern = high_pass(grid)
+        pattern = filter_high_pass(grid)
         contrast = (wanted * pattern).sum() / (pattern * pattern).sum()
         return np.std(contrast * pattern - wanted) / np.std(wanted)
 

@@ -7,7 +7,7 @@ import trimesh
 
 from catalog.photometry.hapke import LUNAR, reflectance_scalar
 from catalog.rendering.mesh_scene import MeshScene
-from catalog.terrain.mesh.rays import MeshRays, first_of_all
+from catalog.terrain.mesh.rays import MeshRays, intersect_all
 
 RADIUS_M = 5000.0
 
@@ -80,14 +80,14 @@ def test_shadows_are_those_of_all_triangles_tried(binary) -> None:
     rays = corners[:-1, :-1].reshape(-1, 3)
     scene = MeshScene(binary, sun)
     found, faces = scene.radiance(position, rays)
-    _, distances = binary.first_hits(position, rays)
+    _, distances = binary.find_first_hits(position, rays)
     normals = np.cross(*(binary.corners[:, k] - binary.corners[:, 0] for k in (1, 2)))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     shaded = differing = 0
     for n in np.flatnonzero(faces >= 0):
         up = normals[faces[n]]
         place = position + distances[n] * rays[n] + 0.02 * up
-        blocked = first_of_all(binary.corners, place, sun, 0.0)[0] >= 0
+        blocked = intersect_all(binary.corners, place, sun, 0.0)[0] >= 0
         shaded += blocked and up @ sun > 0.0
         differing += (found[n] > 0.0) != (up @ sun > 0.0 and up @ rays[n] < 0.0 and not blocked)
     assert shaded > 20  # the small ball darkens the neck and the large one

@@ -5,12 +5,12 @@ import pytest
 from scipy.ndimage import map_coordinates
 from scipy.optimize import brentq
 
-from catalog.geometry.grid import bilinear
+from catalog.geometry.grid import interpolate_bilinear
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
 from catalog.photometry import hapke
-from catalog.rendering.rays.ground import Ground, make_ground, surroundings, whole_sphere
-from catalog.rendering.rays.light import lit_share
-from catalog.rendering.rays.march import CROSSING_M, FINE, SKY, WIDE, Ray, refine, trace
+from catalog.rendering.rays.ground import Ground, crop_surroundings, make_ground, make_whole_sphere
+from catalog.rendering.rays.light import compute_lit_share
+from catalog.rendering.rays.march import CROSSING_M, FINE, SKY, WIDE, Ray, intersect_ground, refine
 from catalog.rendering.rays.scene import Scene
 
 RADIUS_M = 1_737_400.0
@@ -20,7 +20,7 @@ SIZE = 300
 
 
 def globe(height_m: float = 0.0) -> Ground:
-    return whole_sphere(np.full((90, 180), height_m, np.float32), RADIUS_M, LON + np.pi)
+    return make_whole_sphere(np.full((90, 180), height_m, np.float32), RADIUS_M, LON + np.pi)
 
 
 def fine(heights: np.ndarray) -> Ground:
@@ -54,7 +54,7 @@ def height_over(ground: Ground, point: np.ndarray) -> np.ndarray:
 
 def traced(ground: Ground, wide: Ground, origin: np.ndarray, rays: np.ndarray):
     """What rays (n, 3) from one origin meet, and how far away."""
-    found = [trace(ground, wide, Ray(*origin, *ray), 0.0)[:2] for ray in rays]
+    found = [intersect_ground(ground, wide, Ray(*origin, *ray), 0.0)[:2] for ray in rays]
     return np.array([kind for kind, _ in found]), np.array([distance for _, distance in found])
 
 
@@ -104,7 +104,9 @@ def test_a_crossing_lies_where_bisection_finds_it():
             over = np.ceil(row) + 1e-3 - row, np.floor(col) - 1e-3 - col
 
             def clearance(t, ray, row=row, col=col, over=over):
-                return ray(t) - bilinear(ground.heights, row + t * over[0], col + t * over[1])
+                return ray(t) - interpolate_bilinear(
+                    ground.heights, row + t * over[0], col + t * over[1]
+                )
 
             above, below = rng.uniform(0.0, 0.5 * step, 2)
             first = above - clearance(0.0, lambda _: 0.0)
@@ -206,14 +208,14 @@ def test_a_peak_appears_where_its_top_projects():
 @pytest.mark.parametrize(("elevation_deg", "azimuth_deg"), [(8.0, 250.0), (20.0, 30.0)])
 def test_shadows_are_those_of_a_dense_march_to_the_sun(elevation_deg: float, azimuth_deg: float):
     ground = fine(hills(5))
-    around = surroundings(globe(), ground, 0.06)
+    around = crop_surroundings(globe(), ground, 0.06)
     sun = sun_at(elevation_deg, azimuth_deg)
     rng = np.random.default_rng(2)
     agree, dark = 0, 0
     for i, j in rng.integers(40, SIZE - 40, (300, 2)):
         lat, lon = ground.north - i * ground.step_lat, ground.west + j * ground.step_lon
         place = xyz_from_latlon(lat, lon, RADIUS_M + float(ground.heights[i, j]))
-        share = lit_share(ground, around, around, *place, sun)
+        share = compute_lit_share(ground, around, around, *place, sun)
         s = np.arange(200.0, 25e3, 15.0)
         angle = (height_over(ground, place + s[:, None] * sun) / s).min()
         exact = np.clip(0.5 + angle / (2 * 0.00465), 0.0, 1.0)

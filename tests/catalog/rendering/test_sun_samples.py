@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from catalog.rendering.sun_samples import azimuth_band, highest_sun, sun_samples
+from catalog.rendering.sun_samples import find_azimuth_band, find_highest_sun, sun_samples
 
 TILT = math.radians(1.54)
 
@@ -33,7 +33,7 @@ def test_the_band_of_azimuths_is_what_a_year_of_days_fills(lat_deg):
     near = np.abs(np.arcsin(sin_el) - elevation) < 1e-4
     north = np.cos(lat) * np.sin(dec) - np.sin(lat) * np.cos(dec) * np.cos(hour)
     seen = np.arctan2(np.cos(dec) * np.sin(hour), north)[near]
-    band = azimuth_band(lat, elevation)
+    band = find_azimuth_band(lat, elevation)
     assert band == pytest.approx((seen.min(), seen.max()), abs=math.radians(0.2))
 
 
@@ -42,7 +42,7 @@ def test_elevations_run_from_low_to_high_and_stop_at_the_highest_sun():
     np.testing.assert_allclose(elevations, [8.0, 20.333, 32.667, 45.0], atol=1e-2)
     polar = np.degrees(np.arcsin(sun_samples(math.radians(89.0))[::8, 2]))
     assert polar.max() < 2.54
-    assert math.degrees(highest_sun(math.radians(89.0))) == pytest.approx(2.54)
+    assert math.degrees(find_highest_sun(math.radians(89.0))) == pytest.approx(2.54)
 
 
 def test_half_of_the_suns_stand_in_the_east():
@@ -52,6 +52,6 @@ def test_half_of_the_suns_stand_in_the_east():
 
 
 def test_a_sun_that_never_occurs_is_refused():
-    assert azimuth_band(math.radians(60.0), math.radians(40.0)) is None
+    assert find_azimuth_band(math.radians(60.0), math.radians(40.0)) is None
     with pytest.raises(ValueError, match="even number"):
         sun_samples(0.0, azimuths=3)

@@ -6,7 +6,7 @@ import pytest
 import rasterio
 
 from catalog.config import resource
-from catalog.correlation.ncc import HIGH_PASS_NODES, high_pass
+from catalog.correlation.ncc import HIGH_PASS_NODES, filter_high_pass
 from catalog.rendering.map_view import render_map
 from catalog.selection.localisation import (
     azimuth_products,
@@ -157,7 +157,9 @@ def test_the_predicted_correlation_is_what_correlation_with_noise_gives(tycho):
     scores = []
     for _ in range(20):
         noisy = picture + rng.normal(0.0, picture.mean() / snr, picture.shape).astype(np.float32)
-        scores.append(np.corrcoef(high_pass(picture).ravel(), high_pass(noisy).ravel())[0, 1])
+        scores.append(
+            np.corrcoef(filter_high_pass(picture).ravel(), filter_high_pass(noisy).ravel())[0, 1]
+        )
     # the high-pass takes a little of the noise too
     found = predict_match(picture, snr)
     assert found.correlation == pytest.approx(np.mean(scores), abs=0.03)

@@ -11,7 +11,7 @@ import numpy as np
 import zstandard
 
 from catalog.arrays import FloatArray, Int16Array
-from catalog.geometry.projection import node_grid
+from catalog.geometry.projection import make_node_grid
 from catalog.store.reader import Catalog
 from catalog.store.writer import Written
 
@@ -101,5 +101,5 @@ def test_directions_of_nodes_follow_from_the_description(written: Written) -> No
     s = 1 + u**2 + v**2
     local = np.stack([2 * u, 2 * v, 2 - s], axis=-1) / s[..., None]
     projection = point.projection(radius)
-    ours = projection.local_directions(*node_grid(n, posting))
+    ours = projection.local_directions(*make_node_grid(n, posting))
     assert np.allclose(local, ours, atol=1e-15)

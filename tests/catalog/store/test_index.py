@@ -69,7 +69,7 @@ def test_a_region_is_found_from_everywhere(where: tuple[float, float]) -> None:
     """Cells of 0.1° within 2° of a place: most bands and cells of the sphere are empty."""
     grid = CellGrid(0.1)
     rng = np.random.default_rng(5)
-    cells = grid.within(*where, 2.0)
+    cells = grid.find_cells_within(*where, 2.0)
     check_against_tree(grid, cells, queries(rng, 300), rng)
 
 

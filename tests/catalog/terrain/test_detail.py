@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.projection import Stereographic, make_node_grid
 from catalog.terrain.synthetic import craters, fractal
 from catalog.terrain.synthetic.relief import SyntheticRelief
 
@@ -58,8 +58,8 @@ def test_means_of_point_heights_over_a_node_are_the_window(lat_deg: float, lon_d
 def test_a_map_grid_shows_the_ground_of_the_points(lat_deg: float, lon_deg: float):
     ground = detail(smallest_m=59.0)
     projection = Stereographic(np.radians(lat_deg), np.radians(lon_deg), RADIUS_M)
-    grid = ground.local(projection, 5.0, 120)
-    lat, lon = projection.latlon(*node_grid(120, 5.0))
+    grid = ground.sample_local(projection, 5.0, 120)
+    lat, lon = projection.latlon(*make_node_grid(120, 5.0))
     points = ground.heights(lat, lon)
     assert points.std() > 0.5
     # what differs is the mean over a 5 m node, strongest at the sharp rims of fresh craters
@@ -86,7 +86,7 @@ def test_points_on_both_sides_of_180_degrees_join():
 def test_a_crater_of_any_wear_holds_no_net_volume():
     x = (np.arange(50_000) + 0.5) / 50_000 * craters.REACH
     for wear in (0.0, 0.4, 1.0):
-        heights = np.array([craters.profile(r, wear) for r in x])
+        heights = np.array([craters.evaluate_profile(r, wear) for r in x])
         bowl = float(np.sum(np.minimum(heights, 0.0) * x))
         assert abs(float(np.sum(heights * x))) < 2e-3 * abs(bowl)
         assert heights.max() - heights.min() == pytest.approx(1.0, abs=0.01)
@@ -99,7 +99,7 @@ def test_crater_counts_follow_the_equilibrium_law_at_every_latitude():
         south, width = np.radians(south_deg), np.radians(width_deg)
         north = south + np.radians(0.5)
         population = craters.Population(5, 3, 236.9, 0.05, RADIUS_M)
-        table = craters.crater_table(population, south, 3.0, north, width)
+        table = craters.make_crater_table(population, south, 3.0, north, width)
         east = np.mod(table[:, craters.LON] - 3.0, 2.0 * np.pi)
         lat = table[:, craters.LAT]
         inside = (lat >= south) & (lat < north) & (east < width)
@@ -136,7 +136,7 @@ def test_the_lattice_noise_has_no_net_height():
     directions = rng.normal(size=(200_000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     one = np.array([1.0])
-    values = fractal.noise_at(fractal.Octaves(4, one, one, 5000.0), directions)
+    values = fractal.sum_noise(fractal.Octaves(4, one, one, 5000.0), directions)
     assert abs(values.mean()) < 0.003
     assert values.std() > 0.15
 

@@ -12,7 +12,7 @@ from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.projection import Stereographic
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
-from catalog.terrain.sampling.map_nodes import pixels_of_points
+from catalog.terrain.sampling.map_nodes import locate_points
 
 BIAS_M = 60.0
 
@@ -129,12 +129,12 @@ def test_distances_are_right_about_a_pole_and_across_180_degrees(tmp_path, dems,
     upper = dems.write(tmp_path / "upper.tif", values, affine=affine)
     globe = dems.write(tmp_path / "globe.tif", dems.smooth_grid(180).astype(np.float32))
     mosaic = layered(moon, tmp_path, upper, globe, 200.0)
-    feather = mosaic._feather(0)
+    feather = mosaic._get_feather(0)
     place = mosaic.pyramids[0].source.georeference
     rng = np.random.default_rng(5)
     row, col = rng.uniform(0, 159, 3000), rng.uniform(-0.5, 2879.5, 3000)
     lat, lon = place.latlon_from_pixel(col, row)
-    weight = feather.weights(pixels_of_points(place, lat, lon))
+    weight = feather.weights(locate_points(place, lat, lon))
     holes = np.argwhere(np.isnan(values)).astype(float)
     edge = [(-1.0, c) for c in np.arange(0, 2880, 1.0)]
     if reach_deg != -90.0:

@@ -9,10 +9,10 @@ import pytest
 from rasterio.transform import Affine
 from scipy.ndimage import map_coordinates
 
-from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.projection import Stereographic, make_node_grid
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
-from catalog.terrain.sampling.map_nodes import POLE_STEPS, STEPS, pixels_of_grid
+from catalog.terrain.sampling.map_nodes import POLE_STEPS, STEPS, locate_grid
 
 
 def mosaic_of(moon, folder, path) -> Mosaic:
@@ -46,8 +46,8 @@ def test_nodes_fall_where_their_latitude_and_longitude_say(
         step = int(where.removeprefix("step "))
         lat_deg = as_near_as_allowed(step, size, posting, moon.radius_m)
     projection = Stereographic(np.radians(lat_deg), np.radians(lon_deg), moon.radius_m)
-    pixels = pixels_of_grid(place, projection, posting, size)
-    lat, lon = (angle.ravel() for angle in projection.latlon(*node_grid(size, posting)))
+    pixels = locate_grid(place, projection, posting, size)
+    lat, lon = (angle.ravel() for angle in projection.latlon(*make_node_grid(size, posting)))
     col, row = place.pixel_from_latlon(lat, lon)
     off = pixels.col - col
     off -= np.round(off / place.period) * place.period
@@ -69,8 +69,8 @@ def test_nodes_fall_right_in_polar_stereographic_rasters(tmp_path, dems, moon, p
     place = Mosaic.from_files([one], tmp_path, moon, tmp_path / "o").pyramids[0].source.georeference
     for lat_deg, lon_deg in ((pole, 12.0), (pole * 0.97, -170.0), (pole * 0.99, 33.0)):
         projection = Stereographic(np.radians(lat_deg), np.radians(lon_deg), moon.radius_m)
-        pixels = pixels_of_grid(place, projection, 500.0, 41)
-        lat, lon = projection.latlon(*node_grid(41, 500.0))
+        pixels = locate_grid(place, projection, 500.0, 41)
+        lat, lon = projection.latlon(*make_node_grid(41, 500.0))
         col, row = place.pixel_from_latlon(lat.ravel(), lon.ravel())
         np.testing.assert_allclose(pixels.col, col, atol=1e-6)
         np.testing.assert_allclose(pixels.row, row, atol=1e-6)
@@ -178,7 +178,7 @@ def test_footprints_of_very_many_pixels_are_spread_over(tmp_path, dems, moon, fa
     values = np.empty((361, 721), np.float32)
     values[:] = 10.0 * (90.0 - (np.arange(361) + 0.5) * 180.0 / 361)[:, None]
     mosaic = mosaic_of(moon, tmp_path, dems.write(tmp_path / "odd.tif", values))
-    assert mosaic.level_windows(0, 0).most_halvings == 0
+    assert mosaic.get_level_windows(0, 0).most_halvings == 0
     lat_deg = np.linspace(-90.0, 90.0, 400) if factor == 1.0 else np.linspace(-30.0, 30.0, 400)
     heights = mosaic.heights(
         np.radians(lat_deg), np.linspace(-3.0, 3.0, 400), mosaic.posting_m * factor
@@ -201,7 +201,7 @@ def test_map_grids_have_the_heights_of_their_nodes(tmp_path, dems, moon, lat_deg
     projection = Stereographic(np.radians(lat_deg), np.radians(31.0), moon.radius_m)
     for factor in (0.5, 1.0, 2.1):
         posting = mosaic.posting_m * factor
-        lat, lon = projection.latlon(*node_grid(40, posting))
+        lat, lon = projection.latlon(*make_node_grid(40, posting))
         found = mosaic.local_grid(projection, posting, 40)
         wanted = mosaic.heights(lat, lon, posting)
         np.testing.assert_array_equal(np.isnan(found), np.isnan(wanted))

@@ -8,8 +8,8 @@ from catalog.terrain.dem.georeference import (
     CYLINDRICAL,
     OTHER,
     POLAR,
-    georeference,
-    georeference_through_proj,
+    make_georeference,
+    make_proj_georeference,
 )
 
 RADIUS_M = 1_737_400.0
@@ -63,7 +63,7 @@ GRIDS = {
 def place(name):
     text, affine, shape, kind = GRIDS[name]
     wkt = pyproj.CRS.from_user_input(f"{text} +R={RADIUS_M:.0f} +no_defs +type=crs").to_wkt()
-    return georeference(wkt, affine, shape, 1.0, RADIUS_M), kind
+    return make_georeference(wkt, affine, shape, 1.0, RADIUS_M), kind
 
 
 @pytest.mark.parametrize("name", list(GRIDS))
@@ -85,7 +85,7 @@ def test_pixels_agree_with_proj_over_the_whole_raster(name):
 @pytest.mark.parametrize("name", list(GRIDS))
 def test_the_proj_route_gives_the_same_pixels(name):
     made, _ = place(name)
-    slow = georeference_through_proj(made)
+    slow = make_proj_georeference(made)
     middle_lat, middle_lon = made.latlon_from_pixel(made.shape[1] / 2.0, made.shape[0] / 2.0)
     rng = np.random.default_rng(6)
     lat = np.clip(middle_lat + rng.uniform(-0.02, 0.02, 100), -np.pi / 2, np.pi / 2)
@@ -106,8 +106,8 @@ def test_any_turn_of_longitude_gives_the_same_column():
 def test_a_westward_map_mirrors_longitude():
     text, affine, shape, _ = GRIDS["geographic"]
     wkt = pyproj.CRS.from_user_input(f"{text} +R={RADIUS_M:.0f} +no_defs +type=crs").to_wkt()
-    west = georeference(wkt, affine, shape, -1.0, RADIUS_M)
-    east = georeference(wkt, affine, shape, 1.0, RADIUS_M)
+    west = make_georeference(wkt, affine, shape, -1.0, RADIUS_M)
+    east = make_georeference(wkt, affine, shape, 1.0, RADIUS_M)
     lat, lon = np.radians([10.0, -20.0]), np.radians([33.0, -120.0])
     np.testing.assert_allclose(
         west.pixel_from_latlon(lat, lon), east.pixel_from_latlon(lat, -lon), atol=1e-9
@@ -124,7 +124,7 @@ def test_a_rotated_raster_goes_through_proj():
     text, affine, shape, _ = GRIDS["equirectangular"]
     a, _, c, _, e, f = affine
     wkt = pyproj.CRS.from_user_input(f"{text} +R={RADIUS_M:.0f} +no_defs +type=crs").to_wkt()
-    made = georeference(wkt, (a, 100.0, c, -100.0, e, f), shape, 1.0, RADIUS_M)
+    made = make_georeference(wkt, (a, 100.0, c, -100.0, e, f), shape, 1.0, RADIUS_M)
     assert made.kind == OTHER
     lat, lon = made.latlon_from_pixel(700.25, 300.75)
     col, row = made.pixel_from_latlon(lat, lon)
@@ -145,7 +145,7 @@ def test_a_rotated_raster_that_lies_turns_away_shows_the_same_places(turns):
     crs = pyproj.CRS.from_proj4(f"+proj=eqc +R={RADIUS_M} +no_defs")
     x0 = RADIUS_M * np.radians(-11.0 + 360.0 * turns)
     steps = (400.0, 150.0, x0, 150.0, -400.0, -1.3e6)
-    made = georeference(crs.to_wkt(), steps, (300, 300), 1.0, RADIUS_M)
+    made = make_georeference(crs.to_wkt(), steps, (300, 300), 1.0, RADIUS_M)
     assert made.kind == OTHER
     x, y = steps[0] * 40.5 + steps[1] * 70.5, steps[3] * 40.5 + steps[4] * 70.5 - 1.3e6
     lon = np.radians(-11.0) + x / RADIUS_M

@@ -11,8 +11,8 @@ from catalog.errors import DataError
 from catalog.terrain.dem.height_sample import HeightSample, find_shared_end
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.pyramid.pyramid import HeightPyramid
-from catalog.terrain.relief.sums import relief_from_dem
-from catalog.terrain.slopes import summarize
+from catalog.terrain.relief.sums import build_relief
+from catalog.terrain.slopes import summarise_slopes
 
 SIZE = 200
 Y, X = np.mgrid[:SIZE, :SIZE] / SIZE - 0.5
@@ -112,9 +112,9 @@ def test_every_reader_names_the_value_to_state(tmp_path, dems, moon, dtype):
     lat, lon = source(path).georeference.latlon_from_pixel([20.0, 180.0], [20.0, 180.0])
     readers = [
         lambda: HeightPyramid.build(source(path), tmp_path / "levels"),
-        lambda: summarize(source(path), 2000.0),
+        lambda: summarise_slopes(source(path), 2000.0),
         lambda: source(path).heights_at(lat, lon),
-        lambda: relief_from_dem(source(whole)),
+        lambda: build_relief(source(whole)),
     ]
     for reader in readers:
         with pytest.raises(DataError, match=r"lowest height, -9999 m.*state nodata = -9999"):
@@ -123,7 +123,7 @@ def test_every_reader_names_the_value_to_state(tmp_path, dems, moon, dtype):
     # a stated value settles it, be it this one or another
     stated, other = source(path, nodata=-9999.0), source(path, nodata=-1e9)
     assert np.isnan(stated.heights_at(lat, lon)).tolist() == [False, False]
-    assert summarize(other, 2000.0)[0].rms_deg > summarize(stated, 2000.0)[0].rms_deg
+    assert summarise_slopes(other, 2000.0)[0].rms_deg > summarise_slopes(stated, 2000.0)[0].rms_deg
 
 
 def test_the_stated_value_is_the_stored_one(tmp_path, dems, moon):
@@ -133,7 +133,7 @@ def test_the_stated_value_is_the_stored_one(tmp_path, dems, moon):
     path = dems.write(tmp_path / "scaled.tif", values, affine=affine)
     source = DemSource.open(DemSettings(path.name, scale=0.5, offset=-100.0), tmp_path, moon)
     with pytest.raises(DataError, match=r"-5099.5 m.*state nodata = -9999 in its \[\[dem\]\]"):
-        summarize(source, 2000.0)
+        summarise_slopes(source, 2000.0)
 
 
 @pytest.mark.parametrize("height", [3e7, -13000.0])
@@ -143,7 +143,7 @@ def test_slopes_and_places_refuse_heights_that_the_body_cannot_have(tmp_path, de
     path = dems.write(tmp_path / "spike.tif", rough_m, affine=affine)
     source = DemSource.open_alone(path, moon)
     with pytest.raises(DataError, match="on moon they lie between"):
-        summarize(source, 2000.0)
+        summarise_slopes(source, 2000.0)
     lat, lon = source.georeference.latlon_from_pixel([5.0, 60.0], [5.0, 60.0])
     with pytest.raises(DataError, match="on moon they lie between"):
         source.heights_at(lat, lon)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from catalog.terrain.relief.relief import GlobalRelief
-from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
+from catalog.terrain.skyline.limb import LimbRelief, make_nadir_axes
 
 RADIUS = 1737400.0
 AZIMUTHS = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
@@ -46,7 +46,7 @@ def place(height, seed=3):
 def test_an_even_sphere_has_its_tangent_cone_as_skyline(height, level):
     position = place(height + max(level, 0.0))
     ground = LimbRelief(relief_of(np.full((180, 360), level)), 0.0)
-    line = ground.skyline(position, nadir_axes(position), AZIMUTHS)
+    line = ground.skyline(position, make_nadir_axes(position), AZIMUTHS)
     distance = np.linalg.norm(position)
     # within the finest step of the search a sphere falls by less than 2 m
     size = distance * np.sin(line.off_nadir)
@@ -61,7 +61,7 @@ def test_an_ellipsoid_written_as_relief_has_the_ellipsoids_limb():
     surface = 1.0 / np.sqrt(np.einsum("...i,ij,...j", directions, quadric, directions))
     ground = LimbRelief(relief_of(surface - 11000.0, radius=11000.0), 0.0)
     position = np.array([9000.0, -14000.0, 12000.0])
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
     line = ground.skyline(position, axes, AZIMUTHS)
     across = np.cos(AZIMUTHS)[:, None] * axes[0] + np.sin(AZIMUTHS)[:, None] * axes[1]
     rays = np.sin(line.off_nadir)[:, None] * across - np.cos(line.off_nadir)[:, None] * axes[2]
@@ -80,7 +80,7 @@ def test_no_sample_of_the_ground_stands_above_the_skyline(height):
     relief = relief_of(rough(360))
     ground = LimbRelief(relief, 0.0)
     for position in (place(height), np.array([0.02, 0.01, 1.0]) * (RADIUS + height)):
-        axes = nadir_axes(position)
+        axes = make_nadir_axes(position)
         distance = np.linalg.norm(position)
         line = ground.skyline(position, axes, AZIMUTHS)
         limb = np.arccos(RADIUS / distance)
@@ -102,7 +102,7 @@ def test_no_sample_of_the_ground_stands_above_the_skyline(height):
 @pytest.mark.parametrize("height", [2e4, 2e7])
 def test_a_crest_is_the_same_whichever_azimuth_was_searched_before(height):
     ground, position = LimbRelief(relief_of(rough(360)), 0.0), place(height)
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
     together = ground.skyline(position, axes, AZIMUTHS)
     alone = [ground.skyline(position, axes, AZIMUTHS[k : k + 1]) for k in range(len(AZIMUTHS))]
     for name in ("off_nadir", "range", "radius_m"):
@@ -113,7 +113,7 @@ def test_a_crest_is_the_same_whichever_azimuth_was_searched_before(height):
 def test_tops_raise_the_skyline_by_their_share():
     heights = np.full((180, 360), 100.0, np.float32)
     position = place(1e5)
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
     relief = relief_of(heights, heights + np.float32(300.0))
     line = LimbRelief(relief, 0.5).skyline(position, axes, AZIMUTHS)
     size = np.linalg.norm(position) * np.sin(line.off_nadir)
@@ -129,14 +129,14 @@ def test_a_wall_shades_what_lies_behind_it():
     # the Sun 5 deg high in the west of 11.5 deg E; the wall is 23 km away and 9.5 deg high
     west = np.radians(11.5 - 85.0)
     sun = np.array([np.cos(west), np.sin(west), 0.0])
-    assert ground.sunlit(points, sun).tolist() == [True, False, True]
-    assert ground.sunlit(points, np.array([1.0, 0.2, 0.1])).all()
-    assert not ground.sunlit(points, -points[0]).any()
+    assert ground.mark_sunlit(points, sun).tolist() == [True, False, True]
+    assert ground.mark_sunlit(points, np.array([1.0, 0.2, 0.1])).all()
+    assert not ground.mark_sunlit(points, -points[0]).any()
 
 
 def test_axes_are_a_right_handed_frame_with_the_position_up():
     for position in np.vstack([np.eye(3), -np.eye(3), [[3.0, -2.0, 1.0]]]):
-        axes = nadir_axes(position)
+        axes = make_nadir_axes(position)
         assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-14)
         assert np.linalg.det(axes) == pytest.approx(1.0)
         assert axes[2] == pytest.approx(position / np.linalg.norm(position))

@@ -7,7 +7,7 @@ import rasterio
 from rasterio.transform import Affine
 
 from catalog.errors import DataError
-from catalog.terrain.dem.crs import eastward
+from catalog.terrain.dem.crs import orient_eastward
 from catalog.terrain.dem.label_keywords import KEYWORDS
 from catalog.terrain.dem.source import DemSettings, DemSource
 from tests.catalog.terrain.maps import isis_cube, pds3_map, pds4_map
@@ -111,11 +111,13 @@ def test_a_prime_meridian_of_a_system_is_added(tmp_path, dems, moon, ground):
 def test_axes_that_count_westward_are_turned():
     """IAU codes of planetographic systems: the longitude of 100 on such an axis is 260 E."""
     crs = pyproj.CRS("IAU_2015:19901")
-    wkt, steps, sign = eastward(crs.to_wkt(), (1.0, 0.0, 90.0, 0.0, -1.0, 10.0), False)
+    wkt, steps, sign = orient_eastward(crs.to_wkt(), (1.0, 0.0, 90.0, 0.0, -1.0, 10.0), False)
     assert (sign, steps[2]) == (-1.0, 90.0)
     assert {axis.direction for axis in pyproj.CRS(wkt).axis_info} == {"north", "east"}
     with pytest.raises(ValueError, match="counts westward"):
-        eastward(pyproj.CRS("IAU_2015:19911").to_wkt(), (1.0, 0.0, 0.0, 0.0, -1.0, 0.0), False)
+        orient_eastward(
+            pyproj.CRS("IAU_2015:19911").to_wkt(), (1.0, 0.0, 0.0, 0.0, -1.0, 0.0), False
+        )
 
 
 @pytest.mark.parametrize(
@@ -132,7 +134,7 @@ def test_heights_that_count_otherwise_are_refused(vertical, words):
     flat = pyproj.CRS("+proj=longlat +R=1737400 +no_defs").to_wkt("WKT1_GDAL")
     compound = f'COMPD_CS["both",{flat},{vertical}]'
     with pytest.raises(ValueError, match=words):
-        eastward(compound, (1.0, 0.0, 0.0, 0.0, -1.0, 0.0), False)
+        orient_eastward(compound, (1.0, 0.0, 0.0, 0.0, -1.0, 0.0), False)
 
 
 @pytest.mark.parametrize("radius_m", [1737400.0, 1738000.0, 1735000.0])

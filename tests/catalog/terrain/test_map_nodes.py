@@ -7,7 +7,7 @@ from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.geometry.projection import Stereographic
 from catalog.terrain.dem.source import DemSettings, DemSource
-from catalog.terrain.sampling.map_nodes import STEPS, pixels_of_grid, pixels_of_points
+from catalog.terrain.sampling.map_nodes import STEPS, locate_grid, locate_points
 
 
 @pytest.fixture(scope="module")
@@ -24,8 +24,8 @@ def test_nodes_of_grids_of_any_size_are_where_their_points_are(place, size, lat_
     posting = 948.0
     offsets = (np.arange(size) - (size - 1) / 2.0) * posting
     lat, lon = projection.latlon(*np.meshgrid(offsets, -offsets))
-    alone = pixels_of_points(place, lat.ravel(), lon.ravel())
-    made = pixels_of_grid(place, projection, posting, size)
+    alone = locate_points(place, lat.ravel(), lon.ravel())
+    made = locate_grid(place, projection, posting, size)
     node = posting / (1_737_400.0 * place.row_angle)  # rows in a posting
     turn = (made.col - alone.col + place.period / 2.0) % place.period - place.period / 2.0
     assert np.abs(made.row - alone.row).max() < 0.01 * node

@@ -9,14 +9,14 @@ from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.geometry.latlon import Lattice, xyz_from_latlon
 from catalog.terrain.dem.source import DemSettings, DemSource
-from catalog.terrain.error_model import terrain_laws
+from catalog.terrain.error_model import load_terrain_laws
 from catalog.terrain.synthetic import fractal
 from catalog.terrain.synthetic.model_error import (
     BOX_RMS,
     BOX_SIDES,
     ModelError,
     SlopeMap,
-    rms_slope,
+    map_rms_slope,
 )
 
 RADIUS_M = 1_737_400.0
@@ -31,7 +31,7 @@ def even(slope):
 
 def error(seed=1, slope=0.085):
     return ModelError(
-        seed, terrain_laws().spectrum["gld100"], 1.4 * POSTING_M, RADIUS_M, even(slope)
+        seed, load_terrain_laws().spectrum["gld100"], 1.4 * POSTING_M, RADIUS_M, even(slope)
     )
 
 
@@ -110,18 +110,18 @@ def test_the_response_of_boxes_is_that_of_the_noise():
 def test_slopes_are_those_of_the_heights_and_holes_have_none():
     north = 1900.0 * 0.1 * np.arange(40.0)[:, None] + np.zeros((40, 40))
     heights = north.astype(np.float32)
-    np.testing.assert_allclose(rms_slope(heights, 1900.0, 1900.0)[5:-5, 5:-5], 0.1, rtol=1e-3)
+    np.testing.assert_allclose(map_rms_slope(heights, 1900.0, 1900.0)[5:-5, 5:-5], 0.1, rtol=1e-3)
     heights[18:22, 18:22] = np.nan
-    assert np.isfinite(rms_slope(heights, 1900.0, 1900.0)).all()
+    assert np.isfinite(map_rms_slope(heights, 1900.0, 1900.0)).all()
 
 
 def test_a_globe_of_slopes_has_no_seam():
     lat = np.pi / 180.0 * (89.5 - np.arange(180.0))
     lon = np.pi / 180.0 * (0.5 + np.arange(360.0))
     x = xyz_from_latlon(lat[:, None], lon[None, :], 1.0)
-    slopes = SlopeMap.of_globe((5e4 * x[..., 0]).astype(np.float32), RADIUS_M)
-    at = slopes.at(np.zeros((1, 3)), np.array([[-1e-4, 0.0, 1e-4]]))
+    slopes = SlopeMap.measure_globe((5e4 * x[..., 0]).astype(np.float32), RADIUS_M)
+    at = slopes.sample(np.zeros((1, 3)), np.array([[-1e-4, 0.0, 1e-4]]))
     np.testing.assert_allclose(at, at[0, 0], atol=1e-4)
-    assert slopes.at(np.zeros((1, 1)), np.full((1, 1), 0.5 * np.pi))[0, 0] == pytest.approx(
+    assert slopes.sample(np.zeros((1, 1)), np.full((1, 1), 0.5 * np.pi))[0, 0] == pytest.approx(
         5e4 / RADIUS_M, rel=0.05
     )

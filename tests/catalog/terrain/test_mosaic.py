@@ -11,7 +11,7 @@ from rasterio.warp import Resampling, reproject
 from rasterio.warp import transform as transform_places
 from scipy.ndimage import map_coordinates
 
-from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.projection import Stereographic, make_node_grid
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
 
@@ -107,7 +107,7 @@ def test_patches_of_a_known_surface_are_right_everywhere(tmp_path, dems, moon, l
     for factor in (1.0, 2.0, 4.0):
         posting = mosaic.posting_m * factor
         grid = mosaic.local_grid(projection, posting, 40)
-        lat, lon = projection.latlon(*node_grid(40, posting))
+        lat, lon = projection.latlon(*make_node_grid(40, posting))
         truth = dems.smooth_heights(lat, lon)
         # what a mean over a footprint takes off a curved surface grows with its square
         assert np.abs(grid - truth).max() < 3.0 * factor**2, factor
@@ -265,7 +265,7 @@ def test_a_region_across_180_degrees_is_one_piece(tmp_path, dems, moon):
     projection = Stereographic(np.radians(10.0), np.pi, moon.radius_m)
     grid = mosaic.local_grid(projection, mosaic.posting_m, 100)
     assert np.isfinite(grid).all()
-    lat, lon = projection.latlon(*node_grid(100, mosaic.posting_m))
+    lat, lon = projection.latlon(*make_node_grid(100, mosaic.posting_m))
     row, col = (12.0 - np.degrees(lat)) / 0.02 - 0.5, np.mod(np.degrees(lon), 360) - 178.0
     linear = map_coordinates(values, [row, col / 0.02 - 0.5], order=1)
     assert np.std(grid - linear) < 0.05 * np.std(linear)

@@ -112,7 +112,7 @@ def test_the_coarsest_level_that_fits_a_posting_is_chosen(tmp_path, dems, moon):
     pyramid = pyramid_of(path, moon)
     posting = pyramid.source.posting_m
     wanted = [0.5, 0.99, 1.9, 1.95, 2.0, 3.9, 8.0, 1e4]
-    assert [pyramid.level_for(posting * w) for w in wanted] == [0, 0, 0, 1, 1, 2, 3, 4]
+    assert [pyramid.choose_level(posting * w) for w in wanted] == [0, 0, 0, 1, 1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -164,4 +164,4 @@ def test_blocks_with_a_hole_are_known_whatever_the_windows(tmp_path, dems, moon,
     pyramid = pyramid_of(dems.write(tmp_path / "globe.tif", values), moon, workers=2)
     expected = np.ones((19, 38), dtype=bool)
     expected[holes[:, 0] // 8, holes[:, 1] // 8] = False
-    np.testing.assert_array_equal(pyramid.whole_blocks(), expected)
+    np.testing.assert_array_equal(pyramid.load_hole_free_blocks(), expected)

@@ -13,7 +13,7 @@ from catalog.errors import DataError
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.error_model import StatedError
 from catalog.terrain.relief import sums
-from catalog.terrain.relief.sums import load_relief, relief_from_dem, rows_of
+from catalog.terrain.relief.sums import build_relief, count_rows, load_relief
 
 MOON = "+proj=longlat +R=1737400 +no_defs"
 NODATA = -32768
@@ -33,7 +33,7 @@ def raster(path: Path, counts, west=0.0, north=90.0, step=None, crs=MOON) -> Pat
 
 def relief_of(path: Path, moon, rows=None, **settings):
     source = DemSource.open(DemSettings(path=str(path), **settings), Path(), moon)
-    return relief_from_dem(source, rows)
+    return build_relief(source, rows)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_a_coarse_model_keeps_its_own_grid(moon):
     assert load_relief("bundled:moon_gld100_4ppd.tif", moon) is relief
     assert relief.error_m is None
     assert load_relief("bundled:moon_gld100_4ppd.tif", moon, StatedError("gld100")).error_m == 28.0
-    assert rows_of(np.radians(1.0 / 32.0)) == 2880
+    assert count_rows(np.radians(1.0 / 32.0)) == 2880
 
 
 def test_the_real_moon_at_16_a_degree_is_the_mean_of_its_32(shared_data, moon):

@@ -8,8 +8,8 @@ import pytest
 import rasterio
 
 from catalog.config import resource
-from catalog.rendering.shadow import lit_mask
-from catalog.terrain.skyline.local import _lowest, _steeper, skyline_limits_deg
+from catalog.rendering.shadow import make_lit_mask
+from catalog.terrain.skyline.local import _find_lowest, _find_steeper, compute_skyline_limits_deg
 
 MOON_M = 1_737_400.0
 POSTING_M = 118.45
@@ -42,9 +42,9 @@ def tycho_levels(row, col, size=80, count=5):
 def test_a_bare_sphere_has_only_the_tilt_of_its_corners():
     """At a corner the local horizon stands higher, on the centre's side, by its distance / R."""
     corner = math.degrees(math.hypot(1950.0, 1950.0) / MOON_M)
-    limits = skyline_limits_deg(flat_levels(), 0, MOON_M)
+    limits = compute_skyline_limits_deg(flat_levels(), 0, MOON_M)
     assert 0.0 < limits.max() < corner
-    assert skyline_limits_deg(flat_levels(), 0, 1e12).max() < 1e-6
+    assert compute_skyline_limits_deg(flat_levels(), 0, 1e12).max() < 1e-6
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_a_ridge_outside_stands_in_its_own_direction(azimuth_bin, d_row, d_col):
     centre = 19.5
     row, col = round(centre + d_row * 14.5), round(centre + d_col * 14.5)
     ridge[row - 1 : row + 2, col - 1 : col + 2] = 1000.0
-    limits = skyline_limits_deg(levels, 0, MOON_M)
+    limits = compute_skyline_limits_deg(levels, 0, MOON_M)
     assert limits[azimuth_bin] > limits.max() - 0.05
     # from the near edge of the patch (1.95 km) to the near edge of the ridge (5.4 km); the step of
     # 400 m between samples of a cliff makes it up to 1.7 deg lower
@@ -69,39 +69,40 @@ def test_a_hill_inside_the_patch_is_no_foreign_skyline():
     levels = flat_levels()
     levels[0][0][15:25, 15:25] = 3000.0
     np.testing.assert_array_equal(
-        skyline_limits_deg(levels, 0, MOON_M), skyline_limits_deg(flat_levels(), 0, MOON_M)
+        compute_skyline_limits_deg(levels, 0, MOON_M),
+        compute_skyline_limits_deg(flat_levels(), 0, MOON_M),
     )
 
 
 def test_curvature_hides_far_peaks():
     levels = flat_levels(count=5, posting=1000.0)
-    bare = skyline_limits_deg(levels, 0, MOON_M)
+    bare = compute_skyline_limits_deg(levels, 0, MOON_M)
     levels[4][0][19:21, 33:35] = 3000.0  # 232 km away: its foot is 15 km below the tangent plane
-    np.testing.assert_array_equal(skyline_limits_deg(levels, 0, MOON_M), bare)
-    assert skyline_limits_deg(levels, 0, 1e12).max() > 0.5
+    np.testing.assert_array_equal(compute_skyline_limits_deg(levels, 0, MOON_M), bare)
+    assert compute_skyline_limits_deg(levels, 0, 1e12).max() > 0.5
 
 
 def test_no_foreign_shadow_falls_above_the_limit_and_some_do_below():
     levels = tycho_levels(1080, 1500)
-    limits = skyline_limits_deg(levels, 0, MOON_M)
+    limits = compute_skyline_limits_deg(levels, 0, MOON_M)
     fallen = 0
     for azimuth in range(0, 360, 20):
         # 0.5 deg: the stated error of the planes' spacing
         towards = sun(limits[azimuth // 10] + 0.5, azimuth)
-        own = lit_mask(*levels[0], towards, MOON_M)
-        joined = lit_mask(*levels[0], towards, MOON_M, levels[1:])
+        own = make_lit_mask(*levels[0], towards, MOON_M)
+        joined = make_lit_mask(*levels[0], towards, MOON_M, levels[1:])
         assert (own & ~joined).sum() <= 6, azimuth
         towards = sun(max(limits[azimuth // 10] - 3.0, 0.2), azimuth)
-        own = lit_mask(*levels[0], towards, MOON_M)
-        fallen += (own & ~lit_mask(*levels[0], towards, MOON_M, levels[1:])).any()
+        own = make_lit_mask(*levels[0], towards, MOON_M)
+        fallen += (own & ~make_lit_mask(*levels[0], towards, MOON_M, levels[1:])).any()
     assert fallen >= 9
 
 
 def test_the_coarsest_level_knows_nothing_outside():
     levels = tycho_levels(1080, 1500, count=3)
-    assert (skyline_limits_deg(levels, 2, MOON_M) == 0.0).all()
+    assert (compute_skyline_limits_deg(levels, 2, MOON_M) == 0.0).all()
     with pytest.raises(ValueError, match="not a level 3"):
-        skyline_limits_deg(levels, 3, MOON_M)
+        compute_skyline_limits_deg(levels, 3, MOON_M)
 
 
 @pytest.mark.parametrize("start", [0.0, 0.05, 0.3])
@@ -110,8 +111,8 @@ def test_the_steepest_line_is_that_of_all_pairs(start):
     for _ in range(200):
         near_s, far_s = rng.uniform(-50.0, 0.0, 30), rng.uniform(0.1, 300.0, 40)
         near_z, far_z = rng.normal(0.0, 5.0, 30), rng.normal(0.0, rng.uniform(1.0, 20.0), 40)
-        foot = _lowest(near_s, near_z, 30, start)
-        found, foot = _steeper(near_s, near_z, 30, far_s, far_z, 40, start, foot)
+        foot = _find_lowest(near_s, near_z, 30, start)
+        found, foot = _find_steeper(near_s, near_z, 30, far_s, far_z, 40, start, foot)
         slopes = (far_z - near_z[:, None]) / (far_s - near_s[:, None])
         assert found == max(slopes.max(), start)
         assert foot == np.argmin(near_z - found * near_s)
@@ -119,14 +120,14 @@ def test_the_steepest_line_is_that_of_all_pairs(start):
 
 def test_a_level_without_ground_hides_nothing_and_a_patch_without_ground_sees_nothing():
     levels = tycho_levels(1080, 1500, count=4)
-    known = skyline_limits_deg(levels[:3], 0, MOON_M)
+    known = compute_skyline_limits_deg(levels[:3], 0, MOON_M)
     levels[3][0][:] = np.nan
-    np.testing.assert_array_equal(skyline_limits_deg(levels, 0, MOON_M), known)
+    np.testing.assert_array_equal(compute_skyline_limits_deg(levels, 0, MOON_M), known)
     levels[0][0][:] = np.nan
-    assert not skyline_limits_deg(levels, 0, MOON_M).any()
+    assert not compute_skyline_limits_deg(levels, 0, MOON_M).any()
 
 
 def test_points_that_two_grids_share_make_no_wall():
     # at some postings, rounding once put the last point inside and the first outside at one place
     for posting in (118.45058759433391, 99.9, 237.1):
-        assert skyline_limits_deg(flat_levels(80, 4, posting), 0, MOON_M).max() < 1.0
+        assert compute_skyline_limits_deg(flat_levels(80, 4, posting), 0, MOON_M).max() < 1.0

@@ -9,7 +9,7 @@ from rasterio.transform import Affine
 
 from catalog.config import resource
 from catalog.errors import ConfigError, DataError
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.dem.source import DemSettings, DemSource
 
 # file, scale and offset that its label or documentation gives, whether the sum is a radius
@@ -231,7 +231,7 @@ def test_a_map_with_westward_longitudes_is_read_eastward(tmp_path, dems, moon):
 
 def test_a_name_with_a_nul_is_no_path(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="is no path of a file"):
-        path_of("nul\0", tmp_path)
+        resolve_path("nul\0", tmp_path)
 
 
 def test_heights_beyond_the_body_name_the_place_of_the_settings(tmp_path, dems, moon):

@@ -7,10 +7,10 @@ from rasterio.enums import ColorInterp
 from rasterio.transform import Affine
 
 from catalog.special_values import ISIS
-from catalog.terrain.dem.file import Conversion, nodata_range
+from catalog.terrain.dem.file import Conversion, find_nodata_range
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.pyramid.pyramid import HeightPyramid
-from catalog.terrain.slopes import summarize
+from catalog.terrain.slopes import summarise_slopes
 from tests.catalog.terrain.maps import isis_cube
 
 SIZE = 64
@@ -62,7 +62,7 @@ def test_what_a_mask_hides_is_no_ground(tmp_path, dems, moon, how, dtype):
     right = dems.write(tmp_path / "right.tif", expected, affine=affine)
     truth = DemSource.open(DemSettings(right.name), tmp_path, moon)
     base_m = 3.0 * source.posting_m
-    assert summarize(source, base_m)[0].rms_deg == summarize(truth, base_m)[0].rms_deg
+    assert summarise_slopes(source, base_m)[0].rms_deg == summarise_slopes(truth, base_m)[0].rms_deg
 
     made = HeightPyramid.build(source, tmp_path / "masked")
     other = HeightPyramid.build(truth, tmp_path / "right")
@@ -139,7 +139,7 @@ def test_a_second_band_that_is_no_mask_is_reported(tmp_path, dems, moon, caplog)
 def test_a_no_data_value_with_too_few_digits_means_what_it_is_short_for(
     stated, stored, dtype, missing
 ):
-    convert = Conversion(1.0, 0.0, *nodata_range(stated, dtype))
+    convert = Conversion(1.0, 0.0, *find_nodata_range(stated, dtype))
     raw = np.array([[stored, 17.0]], dtype)
     assert np.isnan(convert(raw)).tolist() == [[missing, False]]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import sun_direction_inertial
+from catalog.bodies.ephemeris import compute_sun_direction_inertial
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz
@@ -60,7 +60,7 @@ def test_the_sun_is_the_one_of_our_theory(shared_data: Callable[[str], Path]) ->
     """Same inertial direction to 0.1 arcsec: the table holds the apparent Sun."""
     pose = read_cube_pose(shared_data(CUBE))
     theirs = pose.body_from_inertial.inv().apply(pose.sun_body)
-    ours = sun_direction_inertial(load_body("moon"), pose.tdb_s)
+    ours = compute_sun_direction_inertial(load_body("moon"), pose.tdb_s)
     assert np.degrees(np.linalg.norm(np.cross(ours, theirs))) * 3600.0 < 0.1
     up = pose.position_m / np.linalg.norm(pose.position_m)
     assert np.degrees(np.arcsin(pose.sun_body @ up)) == pytest.approx(22.2, abs=0.1)

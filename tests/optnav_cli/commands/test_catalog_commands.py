@@ -33,7 +33,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
         ground = source.read(1).astype(np.float32)
     grid = CellGrid(1.0)
     points = []
-    for number, cell in enumerate(grid.within(*TYCHO, 2.0).tolist()):
+    for number, cell in enumerate(grid.find_cells_within(*TYCHO, 2.0).tolist()):
         lat, lon = grid.centre_deg(cell)
         row = 700 + 60 * number % 1100
         heights = ground[row : row + 64, 900:964]
@@ -91,7 +91,7 @@ def test_nearest_tells_direction_and_what_the_catalog_does_not_cover(
         return lines(capsys.readouterr().out)
 
     grid = CellGrid(1.0)
-    lat, lon = grid.centre_deg(int(grid.cell_of(*TYCHO)))
+    lat, lon = grid.centre_deg(int(grid.find_cells(*TYCHO)))
     for off, azimuth in (((0.1, 0.0), 180.0), ((0.0, 0.1), 270.0), ((-0.1, 0.0), 0.0)):
         told = asked(lat + off[0], lon + off[1])
         assert abs((float(told["azimuth_deg"]) - azimuth + 180.0) % 360.0 - 180.0) < 0.1
@@ -146,7 +146,7 @@ def test_nearest_refuses_what_is_no_place(
 def test_show_prints_and_draws(
     written: Written, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cell = int(CellGrid(1.0).cell_of(*TYCHO))
+    cell = int(CellGrid(1.0).find_cells(*TYCHO))
     place = tmp_path / "point.png"
     assert run(["catalog", "show", str(written.path), str(cell), "-o", str(place)]) == 0
     told = lines(capsys.readouterr().out)
@@ -159,7 +159,7 @@ def test_show_names_its_picture_itself(
     written: Written, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    cell = int(CellGrid(1.0).cell_of(*TYCHO))
+    cell = int(CellGrid(1.0).find_cells(*TYCHO))
     assert run(["catalog", "show", str(written.path), str(cell)]) == 0
     assert [p.name for p in tmp_path.iterdir()] == [f"tycho-{cell}.png"]
 
@@ -204,7 +204,7 @@ def test_export_writes_a_layer(
 def test_export_writes_a_patch_and_refuses_one_as_a_layer(
     written: Written, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cell = str(CellGrid(1.0).cell_of(*TYCHO))
+    cell = str(CellGrid(1.0).find_cells(*TYCHO))
     words = ["catalog", "export", str(written.path), "--point", cell, "-o"]
     assert run([*words, str(tmp_path / "patch.tif")]) == 0
     assert capsys.readouterr().out == f"{tmp_path / 'patch.tif'}: 64 x 64 nodes\n"

@@ -10,7 +10,7 @@ from catalog.bodies.body import load_body
 from catalog.config import named_config
 from catalog.errors import OptnavError
 from catalog.pipeline.config import ConfigText
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.tables import FRAMES
@@ -41,7 +41,7 @@ def test_every_name_that_is_listed_can_be_used(capsys: pytest.CaptureFixture[str
     for entry in found["catalogs"]:
         assert ConfigText.read(Path(entry["name"])).load()
     for entry in found["data"]:
-        assert path_of(entry["name"], Path()).is_file()
+        assert resolve_path(entry["name"], Path()).is_file()
     for entries in found.values():
         assert entries
         for entry in entries:

@@ -427,7 +427,7 @@ def test_weak_matches_that_agree_are_refused_under_a_wrong_sun_alone(
     rough_world, field_of, elevation_deg, turn_deg, monkeypatch
 ):
     """They are where they were found, in a noisy picture: nothing but the light can be wrong."""
-    monkeypatch.setattr(point_match, "with_remainder_covariance", lambda match, *_: match)
+    monkeypatch.setattr(point_match, "add_remainder_covariance", lambda match, *_: match)
     pose = rough_world.pose(100e3, roll=0.3, tilt=(0.01, -0.008))
     picture = rough_world.picture(pose, rough_world.sun(elevation_deg, 65.0), snr=5.0)
     prior = PositionPrior.isotropic(pose.position_m, 100.0, "test")

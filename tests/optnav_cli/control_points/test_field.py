@@ -14,8 +14,8 @@ def layer(name, cell_deg, box=None, seed=0, posting_m=118.0):
     """A point at a random place of every cell, without patches."""
     rng = np.random.default_rng(seed)
     grid = CellGrid(cell_deg)
-    cells = np.arange(grid.total) if box is None else grid.in_bbox(*box)
-    west, south, east, north = grid.bounds_of(cells)
+    cells = np.arange(grid.total) if box is None else grid.find_cells_in_bbox(*box)
+    west, south, east, north = grid.compute_bounds_deg(cells)
     lat = south + (north - south) * rng.uniform(size=len(cells))
     lon = west + (east - west) * rng.uniform(size=len(cells))
     radius = RADIUS_M + rng.uniform(-9e3, 9e3, len(cells))

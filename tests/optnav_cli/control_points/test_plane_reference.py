@@ -10,12 +10,12 @@ from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.control_point import ControlPoint, Patch
 from catalog.correlation.ncc import blur_nodes, match_ncc
-from catalog.geometry.ellipsoid import foot_of
+from catalog.geometry.ellipsoid import find_foot
 from catalog.rendering.mesh_scene import MeshScene
-from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.rays import MeshRays
-from catalog.terrain.mesh.refine import refined, roughened, smooth_corners
+from catalog.terrain.mesh.refine import add_detail, refine_shape, smooth_corners
 from catalog.terrain.mesh.shape import Shape, load_shape
 from catalog.terrain.mesh.terrain import MeshTerrain
 from catalog.terrain.synthetic.relief import SyntheticRelief
@@ -124,14 +124,14 @@ def test_a_point_is_found_where_a_wrong_pose_does_not_expect_it(scene) -> None:
 def test_behind_a_blur_points_are_found_in_relief_that_the_model_hides(
     body, shape, tmp_path_factory
 ) -> None:
-    path = path_of("bundled:phobos_thomas.tab", Path())
+    path = resolve_path("bundled:phobos_thomas.tab", Path())
     smooth = smooth_corners(path, "west", 1e3, shape.vertices, shape.faces, 2)
     terrain = terrain_of(body, shape, smooth, tmp_path_factory.mktemp("smooth"))
     detail = SyntheticRelief(
         7, shape.posting_m, body.radius_m, smallest_m=160.0, rms_slope_deg=15.0, saturation=0.1
     )
-    fine = refined(shape, 2)
-    rough = roughened(fine, detail)
+    fine = refine_shape(shape, 2)
+    rough = add_detail(fine, detail)
     hidden = np.linalg.norm(rough.vertices - fine.vertices, axis=1)
     assert np.sqrt(np.square(hidden).mean()) == pytest.approx(20.0, abs=2.0)
     references, camera, pose, sun, picture = scene_of(body, terrain, rough.vertices[rough.faces])
@@ -171,6 +171,6 @@ def test_ground_goes_on_beyond_the_only_patch(body, scene) -> None:
     assert (surface[40:-40, 40:-40] == reference.surface(0, reference.heights(0, 96))).all()
     steps = np.linalg.norm(np.diff(surface, axis=0), axis=2)
     assert steps.max() < 3.0 * POSTING_M
-    over = np.linalg.norm(surface - foot_of(surface.reshape(-1, 3), body.radii_m).reshape(
+    over = np.linalg.norm(surface - find_foot(surface.reshape(-1, 3), body.radii_m).reshape(
         surface.shape), axis=2)  # fmt: skip
     assert over.max() < 2e3

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from catalog.control_point import Patch
 from catalog.correlation import relief_albedo
 from catalog.correlation.ncc import match_ncc
-from catalog.correlation.relief_albedo import shipped_strengths, steepness_and_crests
+from catalog.correlation.relief_albedo import compute_steepness_and_crests, load_shipped_strengths
 from catalog.correlation.surf64 import match_surf
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points import point_match
@@ -52,7 +52,7 @@ def picture_of(reference, pose, sun, level=0, size=200, strengths=(0.0, 0.0)):
     """
     rendered = reference.render(level, reference.heights(level, size), sun, pose.position_m)
     posting = reference.patches[level].posting_m
-    steep, crests = steepness_and_crests(reference.heights(level, size), posting)
+    steep, crests = compute_steepness_and_crests(reference.heights(level, size), posting)
     rendered = rendered * np.exp(np.nan_to_num(strengths[0] * steep + strengths[1] * crests))
     rays = CAMERA.unproject(pixel_grid(CAMERA)) @ pose.camera_from_body.as_matrix()
     heights = np.nan_to_num(reference.heights(level, size))
@@ -113,11 +113,11 @@ def test_albedo_that_follows_relief_moves_no_point(rough_world, reference, monke
     assert not coarser.reason
     assert coarser.albedo is None
     assert plain.albedo is None
-    assert plain.under(shipped_strengths()) is plain
+    assert plain.apply_albedo(load_shipped_strengths()) is plain
     assert plain.offset_m[0] < -10.0
     assert found.offset_m[0] == plain.offset_m[0]
     assert found.albedo.laid.explained > 0.1
-    moved = found.under(shipped_strengths())
+    moved = found.apply_albedo(load_shipped_strengths())
     assert moved.under_albedo
     assert abs(moved.offset_m[0]) < 0.5 * abs(plain.offset_m[0])
 

@@ -5,9 +5,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from catalog.control_point import Patch
-from catalog.geometry.grid import bicubic_at
+from catalog.geometry.grid import interpolate_bicubic
 from catalog.geometry.latlon import latlon_from_xyz
-from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.projection import Stereographic, make_node_grid
 from catalog.rendering.map_view import render_map
 from optnav_cli.control_points.reference import Reference, _fill_from
 
@@ -41,7 +41,7 @@ def test_a_window_wider_than_its_patch_goes_on_with_the_coarser_levels(reference
     assert np.isfinite(window).all()
     assert_allclose(window[18:82, 18:82], own)
     # on a plane the seam would vanish; on this ground the levels differ by the finer relief
-    x, y = node_grid(100, 120.0)
+    x, y = make_node_grid(100, 120.0)
     e, n = x / coarse.posting_m + 31.5, 31.5 - y / coarse.posting_m
     nearest = coarse.heights_m[np.rint(n).astype(int), np.rint(e).astype(int)]
     ring = np.ones((100, 100), dtype=bool)
@@ -51,14 +51,14 @@ def test_a_window_wider_than_its_patch_goes_on_with_the_coarser_levels(reference
 
 
 def test_levels_of_one_plane_join_without_a_seam():
-    x0, y0 = node_grid(16, 10.0)
-    x1, y1 = node_grid(16, 20.0)
+    x0, y0 = make_node_grid(16, 10.0)
+    x1, y1 = make_node_grid(16, 20.0)
     point_patches = (
         Patch(10.0, (0.1 * x0 - 0.2 * y0).astype(np.float32)),
         Patch(20.0, (0.1 * x1 - 0.2 * y1).astype(np.float32)),
     )
     window = Reference(None, point_patches, 1e6).heights(0, 30)
-    x, y = node_grid(30, 10.0)
+    x, y = make_node_grid(30, 10.0)
     assert_allclose(window, 0.1 * x - 0.2 * y, atol=1e-4)
 
 
@@ -84,7 +84,7 @@ def test_points_of_a_surface_lie_at_their_place_and_height(reference):
     point = reference.point
     projection = Stereographic(*np.radians([point.lat_deg, point.lon_deg]), reference.radius_m)
     x, y = projection.xy_from_latlon(lat, lon)
-    want_x, want_y = node_grid(size, reference.patches[level].posting_m)
+    want_x, want_y = make_node_grid(size, reference.patches[level].posting_m)
     assert_allclose(x, want_x, atol=1e-5)
     assert_allclose(y, want_y, atol=1e-5)
     # row 0 is north, column 0 west
@@ -124,7 +124,7 @@ def test_a_window_from_a_coarser_level_is_bicubic_at_every_node():
     for i, row in enumerate(places):
         for j, col in enumerate(places):
             if np.isnan(wanted[i, j]) and 0.0 <= min(row, col) <= max(row, col) <= 29.0:
-                wanted[i, j] = bicubic_at(patch, row, col)
+                wanted[i, j] = interpolate_bicubic(patch, row, col)
     assert_allclose(window, wanted, atol=1e-6)
     assert np.isnan(window).any()
     assert (window[15:20, 10:30] == 7.0).all()

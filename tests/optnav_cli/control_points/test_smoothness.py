@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from catalog.correlation.ncc import thinned
+from catalog.correlation.ncc import downsample_blurred
 from optnav_cli.control_points.point_match import thin_pixels
 from optnav_cli.control_points.smoothness import find_count_step, shows_ground
 from tests.studies.smooth_pictures import BITS, KINDS, draw_smooth_picture
@@ -102,5 +102,5 @@ def test_behind_a_blur_a_smooth_picture_is_no_ground_and_ground_is(blur_nodes, s
     x, y = seen[..., 0], seen[..., 1]
     smooth = (0.01 * (x - 180.0) ** 2 + 0.004 * x * y).astype(np.float32)
     for patch, shown in ((smooth, False), (ground(side, 30.0), True)):
-        thin = thinned(patch, blur_nodes, even)
+        thin = downsample_blurred(patch, blur_nodes, even)
         assert shows_ground(thin, thin_pixels(seen, blur_nodes, even), MARGIN, 0.0) is shown

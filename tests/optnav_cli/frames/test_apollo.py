@@ -10,7 +10,7 @@ import rasterio
 
 from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.latlon import latlon_from_xyz
-from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.projection import Stereographic, make_node_grid
 from optnav_cli.archives.job import ImportOptions, import_folder
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.folder import read_folder
@@ -42,7 +42,7 @@ def terrain(path: Path, projection: Stereographic) -> tuple[np.ndarray, np.ndarr
     """Body-fixed points, heights and the map x, y of a grid about the sub-spacecraft point."""
     with rasterio.open(path) as dataset:
         heights, transform = dataset.read(1).astype(np.float32), dataset.transform
-    x, y = node_grid(NODES, POSTING)
+    x, y = make_node_grid(NODES, POSTING)
     lat, lon = projection.latlon(x, y)
     column = (RADIUS * np.mod(lon, 2.0 * np.pi) - transform.c) / transform.a - 0.5
     row = (RADIUS * lat - transform.f) / transform.e - 0.5

@@ -299,8 +299,10 @@ def test_a_catalog_in_another_frame_is_seen_where_its_stated_places_are(
     path = body_with_a_catalog_frame(tmp_path)
     moved, moon = load_body(str(path)), load_body("moon")
     catalog_m = np.array([1.2e6, 1.1e6, 0.4e6])
-    stated_m = moved.catalog_frame.stated(catalog_m)
-    np.testing.assert_allclose(moved.catalog_frame.catalog(stated_m), catalog_m, rtol=1e-12)
+    stated_m = moved.catalog_frame.transform_to_stated(catalog_m)
+    np.testing.assert_allclose(
+        moved.catalog_frame.transform_to_catalog(stated_m), catalog_m, rtol=1e-12
+    )
     turned = replace(CAMERA, boresight_arcsec=(400.0, -900.0, 3000.0))
     position_m, tdb_s = np.array([1.5e6, 1.3e6, 0.5e6]), utc_to_tdb_s(UTC)
     looking = Rotation.align_vectors([[0.0, 0.05, 1.0]], [catalog_m - position_m])[0]
@@ -321,7 +323,7 @@ def test_a_catalog_in_another_frame_is_seen_where_its_stated_places_are(
     assert back.position_sigma_m == pytest.approx(100.0 / 1.004)
     sun = AnalyticEphemeris(moon).sun_body(tdb_s)
     np.testing.assert_allclose(
-        moved.catalog_frame.stated_direction(np.asarray(back.sun_body)), sun, atol=1e-12
+        moved.catalog_frame.rotate_to_stated(np.asarray(back.sun_body)), sun, atol=1e-12
     )
     # and written again it is what was stated
     write_folder(tmp_path / "again", folder.settings, folder.cameras.values(), [back])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from catalog.errors import NoSolutionError
-from catalog.terrain.slopes import slope_components, slope_degrees
+from catalog.terrain.slopes import compute_slope_components, convert_to_degrees
 from optnav_cli.hazard.fusion import combine_slopes, find_too_steep
 from optnav_cli.hazard.model import load_hazard_model
 from optnav_cli.hazard.pads import REFUSED, choose_pads, count_pad_cells, rate_slopes
@@ -98,13 +98,13 @@ def test_a_prior_gives_back_the_tilt_that_shading_does_not_see() -> None:
     rows = np.arange(160, dtype=np.float32)[::-1, None]
     heights = bumps(height_m=0.4) + tilt * rows
     view = drawn(heights.astype(np.float32), 20.0, 90.0)
-    true = slope_degrees(slope_components(heights.astype(np.float32), 1.0, 1.0, 3.0))
+    true = convert_to_degrees(compute_slope_components(heights.astype(np.float32), 1.0, 1.0, 3.0))
     alone = map_slopes(view, MODEL)
     prior = np.full(true.shape, 5.0, np.float32)
     joined = combine_slopes(view, alone, prior, 20.0, MODEL)
     inner = np.s_[20:-20, 20:-20]
     means = [
-        float(slope_degrees(np.stack([part.toward, part.across]))[inner].mean())
+        float(convert_to_degrees(np.stack([part.toward, part.across]))[inner].mean())
         for part in (alone, joined)
     ]
     truth = float(true[inner].mean())

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from catalog.errors import NoSolutionError
-from catalog.photometry.laws import law_by_name
-from catalog.terrain.slopes import slope_components, slope_degrees
+from catalog.photometry.laws import find_law
+from catalog.terrain.slopes import compute_slope_components, convert_to_degrees
 from optnav_cli.hazard.model import load_hazard_model
 from optnav_cli.hazard.pads import rate_slopes
 from optnav_cli.hazard.shading import map_slopes
@@ -30,7 +30,7 @@ def test_brightness_of_hills_gives_both_components_of_their_slopes(
 ) -> None:
     heights = bumps(height_m=height_m)
     slopes = map_slopes(drawn(heights, elevation_deg, 90.0), MODEL)
-    east, north = slope_components(heights, 1.0, 1.0, 3.0)
+    east, north = compute_slope_components(heights, 1.0, 1.0, 3.0)
     for found, true, least in ((slopes.toward, east, 0.97), (slopes.across, north, 0.85)):
         assert np.corrcoef(found[INNER].ravel(), true[INNER].ravel())[0, 1] > least
     scale = np.sum(slopes.toward[INNER] * east[INNER]) / np.sum(east[INNER] ** 2)
@@ -42,7 +42,7 @@ def test_a_cone_slopes_alike_on_all_its_sides() -> None:
     reach = np.hypot(x, y)
     heights = np.maximum(6.0 - 0.15 * reach, 0.0).astype(np.float32)  # 8.5 deg, 40 m wide
     slopes = map_slopes(drawn(heights, 20.0, 60.0), MODEL)
-    degrees = slope_degrees(np.stack([slopes.toward, slopes.across]))
+    degrees = convert_to_degrees(np.stack([slopes.toward, slopes.across]))
     side = (reach > 10.0) & (reach < 32.0)
     around = [
         float(np.median(degrees[side & (np.abs(np.arctan2(y, x) - a) < 0.4)]))
@@ -84,7 +84,7 @@ def test_ground_that_the_picture_does_not_show_disturbs_nothing() -> None:
     shown = np.abs(x) + np.abs(y) < 78.0
     dark = np.where(shown, whole.brightness, np.float32(0.0))
     cut = map_slopes(view_of(dark, 20.0, 45.0, valid=shown), MODEL)
-    true = slope_components(heights, 1.0, 1.0, 3.0)
+    true = compute_slope_components(heights, 1.0, 1.0, 3.0)
     inside = np.abs(x) + np.abs(y) < 60.0
     along = (true[0] + true[1]) * np.sqrt(0.5)
     aside = (true[1] - true[0]) * np.sqrt(0.5)
@@ -100,10 +100,10 @@ def test_an_oblique_view_is_brought_to_the_slopes_of_the_ground() -> None:
     sun = np.array([np.cos(e), 0.0, np.sin(e)])
     slant = np.radians(25.0)
     to_camera = np.array([0.0, np.sin(slant), np.cos(slant)])
-    east, north = slope_components(heights, 1.0, 1.0, 2.0)
+    east, north = compute_slope_components(heights, 1.0, 1.0, 2.0)
     normal = np.stack([-east, -north, np.ones_like(east)])
     normal /= np.linalg.norm(normal, axis=0)
-    light = law_by_name("hapke")(
+    light = find_law("hapke")(
         np.tensordot(sun, normal, 1), np.tensordot(to_camera, normal, 1), float(sun @ to_camera)
     )
     light = np.nan_to_num(light, nan=float(np.nanmedian(light))).astype(np.float32)

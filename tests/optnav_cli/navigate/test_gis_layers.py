@@ -11,7 +11,7 @@ import pytest
 from catalog.config import resource
 from catalog.errors import OutputError
 from catalog.geometry.latlon import latlon_from_xyz
-from catalog.geometry.map_pieces import area_pieces
+from catalog.geometry.map_pieces import split_area
 from catalog.store.geopackage import (
     UNDATED,
     FeatureLayer,
@@ -187,7 +187,7 @@ def test_areas_of_any_view_are_valid(tmp_path):
         distance = MOON[0] * (1.0 + 10.0 ** rng.uniform(-2.0, 1.5))
         turns = rng.normal(0.0, 30.0), rng.normal(0.0, 30.0), rng.uniform(0.0, 360.0)
         position, turn = looking(lat, rng.uniform(-180.0, 180.0), distance, *turns)
-        pieces = [p for r in footprint_of(camera, position, turn, MOON) for p in area_pieces(r)]
+        pieces = [p for r in footprint_of(camera, position, turn, MOON) for p in split_area(r)]
         geometry = parts_geometry("MULTIPOLYGON", pieces, 30100)
         if geometry is not None:
             features.append(((len(features) + 1, geometry), None))

@@ -70,7 +70,9 @@ def test_solutions_are_written_in_the_stated_frame(tmp_path, moon, moved):
     np.testing.assert_allclose(back.position_m, row.position_m, atol=1e-3)
     np.testing.assert_allclose(back.covariance_m2, row.covariance_m2, rtol=1e-6)
     frame = moved.catalog_frame
-    np.testing.assert_allclose(stated.position_m, frame.stated(row.position_m), atol=1e-3)
+    np.testing.assert_allclose(
+        stated.position_m, frame.transform_to_stated(row.position_m), atol=1e-3
+    )
     along = frame.stated_from_catalog.apply([0.0, 0.6, 0.8])
     variance = row.covariance_m2[1:, 1:] @ [0.6, 0.8] @ [0.6, 0.8]
     assert along @ stated.covariance_m2 @ along == pytest.approx(1.0075**2 * variance)

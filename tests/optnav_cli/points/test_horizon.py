@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.geometry.ellipsoid import surface_at
+from catalog.geometry.ellipsoid import project_to_surface
 from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose, predict
@@ -36,7 +36,9 @@ class Shape:
 
     def radius(self, directions):
         relief = self.heights * np.cos(directions @ self.waves.T + self.phases)
-        return np.linalg.norm(surface_at(directions, self.radii), axis=1) + relief.sum(axis=1)
+        return np.linalg.norm(project_to_surface(directions, self.radii), axis=1) + relief.sum(
+            axis=1
+        )
 
     def is_seen(self, eye, places):
         """Whether the ground leaves the line of sight free, by marching along it."""

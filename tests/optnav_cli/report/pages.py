@@ -80,7 +80,7 @@ def a_catalog(path, count=40, lat=(-48.0, -38.0), lon=(-17.0, -5.0), step_deg=0.
     rng = np.random.default_rng(8)
     grid = CellGrid(step_deg)
     places = np.column_stack([rng.uniform(*lat, 6 * count), rng.uniform(*lon, 6 * count)])
-    cells = np.asarray(grid.cell_of(places[:, 0], places[:, 1]))
+    cells = np.asarray(grid.find_cells(places[:, 0], places[:, 1]))
     ids, first = np.unique(cells, return_index=True)
     pyramids = []
     for number, (cell, index) in enumerate(zip(ids[:count], first[:count], strict=True)):

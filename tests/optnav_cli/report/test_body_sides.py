@@ -48,7 +48,7 @@ def phobos(tmp_path):
     for number, (lat, lon) in enumerate(PLACES):
         bad = number == OVERHUNG
         point = ControlPoint(
-            int(grid.cell_of(lat, lon)), lat, lon,
+            int(grid.find_cells(lat, lon)), lat, lon,
             float(ellipsoid_radius(np.radians(lat), np.radians(lon))),
             0.3, 1.0, 1.0, 5, (0.4,), (5.0,) * 36, not bad,
             Flag.OVERHANG if bad else Flag.NONE, "made.obj",

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
-from catalog.geometry.map_pieces import area_pieces
+from catalog.geometry.map_pieces import split_area
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.navigate.gis_layers import footprint_of
@@ -57,7 +57,7 @@ def test_the_ground_in_a_footprint_is_the_ground_in_the_picture(name):
     camera, place, radii = CASES[name]
     position, camera_from_body = looking(*place)
     rings = footprint_of(camera, position, camera_from_body, radii)
-    pieces = [piece for ring in rings for piece in area_pieces(ring)]
+    pieces = [piece for ring in rings for piece in split_area(ring)]
     rng = np.random.default_rng(3)
     # half of the places near the ground in view, however little of the body that is
     spread = np.concatenate([rng.normal(size=(3000, 3)), _near(rings, rng)])

@@ -58,7 +58,7 @@ def test_the_polar_maps_are_polar_stereographic_with_zero_down_in_the_north():
 
 def test_every_pixel_of_a_region_across_180_degrees_finds_its_cell():
     grid = CellGrid(2.0)
-    cells = grid.in_bbox(176.0, -6.0, -176.0, 6.0)
+    cells = grid.find_cells_in_bbox(176.0, -6.0, -176.0, 6.0)
     view = views_of(cells, grid)[0]
     lat, lon = view.pixels()
     rows = rows_of_pixels(grid, cells, lat, lon)

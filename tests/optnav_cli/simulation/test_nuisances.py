@@ -21,7 +21,7 @@ from optnav_cli.simulation.sections import (
     StructureSettings,
 )
 from optnav_cli.simulation.sensor import Besides, expose
-from optnav_cli.simulation.surroundings import Surroundings, bright_stars
+from optnav_cli.simulation.surroundings import Surroundings, load_bright_stars
 
 ROOT = Path(__file__).resolve().parents[3]
 MOTION = AnalyticEphemeris(load_body("moon"))
@@ -57,7 +57,7 @@ SIRIUS = radec(101.2872, -16.7161)  # Hipparcos 32349, V -1.44
 
 def test_the_star_list_holds_all_stars_of_the_naked_eye():
     """Names of the sky, from other catalogues: Sirius, Polaris and Vega, V -1.44, 1.97, 0.03."""
-    stars = bright_stars()
+    stars = load_bright_stars()
     assert len(stars.magnitudes) == 9928
     assert np.count_nonzero(stars.magnitudes <= 6.5) == pytest.approx(8800, abs=100)
     for place, magnitude in ((SIRIUS, -1.44), (radec(37.95, 89.264), 1.97),
@@ -79,7 +79,7 @@ def star_picture(
 
 
 def test_a_star_stands_where_the_camera_projects_it_and_as_bright_as_stated():
-    stars = bright_stars()
+    stars = load_bright_stars()
     # a lonely star of V 4: the pixels around it hold its light alone
     middle = radec(83.0, -2.0)  # Orion
     shot = looking(middle)

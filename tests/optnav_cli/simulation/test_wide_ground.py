@@ -12,7 +12,7 @@ from catalog.config import resource
 from catalog.errors import ConfigError
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
-from catalog.rendering.rays.ground import Ground, whole_sphere
+from catalog.rendering.rays.ground import Ground, make_whole_sphere
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.simulation.globe_heights import WideGround, read_globe, seen_from
@@ -57,7 +57,7 @@ def places(ground: Ground, rows: np.ndarray, cols: np.ndarray) -> tuple[np.ndarr
 
 
 def test_without_detail_the_globe_is_shown_as_it_is(heights, details):
-    plain = whole_sphere(heights, RADIUS_M, SEAM)
+    plain = make_whole_sphere(heights, RADIUS_M, SEAM)
     for globe in (WideGround(heights, RADIUS_M, SEAM, {}), WideGround(heights, 1.0, SEAM, details)):
         assert globe.of(None).heights.tobytes() == plain.heights.tobytes()
         assert (globe.of(None).north, globe.of(None).west) == (plain.north, plain.west)

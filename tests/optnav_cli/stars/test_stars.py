@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.stars import bright_stars, stars_of
+from catalog.bodies.stars import load_bright_stars, make_stars
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.camera.camera import Camera
@@ -86,7 +86,7 @@ def test_a_lens_longer_by_half_a_per_cent_is_told_by_the_stars():
 @pytest.mark.parametrize("name", ["unk", "kam_s", "shnk"])
 def test_random_pointings_with_false_spots_are_found_and_none_wrong(name):
     camera, rng = preset_camera(name), np.random.default_rng(11)
-    identifier, solved = StarIdentifier(camera, bright_stars().at(None)), 0
+    identifier, solved = StarIdentifier(camera, load_bright_stars().propagate(None)), 0
     for _ in range(12):
         turn = Rotation.random(random_state=rng)
         fix = identifier.identify(spots_of(turn, camera, rng, 5.0, 4))
@@ -98,7 +98,7 @@ def test_random_pointings_with_false_spots_are_found_and_none_wrong(name):
 
 def test_random_spots_are_never_a_sky():
     camera, rng = preset_camera("kam_s"), np.random.default_rng(5)
-    identifier = StarIdentifier(camera, bright_stars().at(None))
+    identifier = StarIdentifier(camera, load_bright_stars().propagate(None))
     for count in rng.integers(5, 40, 4):
         places = rng.uniform(0.0, 2047.0, (count, 2))
         spots = StarSpots(places, np.ones(count), np.full(count, 0.1), 0, 0, 0.0)
@@ -152,7 +152,7 @@ def test_three_stars_are_too_few():
 
 def test_without_aberration_the_attitude_is_twenty_arc_seconds_off():
     picture = drawn_sky(ORION)
-    plain = StarIdentifier(CAMERA, bright_stars().at(utc_to_tdb_s(UTC)))
+    plain = StarIdentifier(CAMERA, load_bright_stars().propagate(utc_to_tdb_s(UTC)))
     wrong = plain.identify(find_spots(picture)).camera_from_sky
     right = found_in(picture).camera_from_sky
     assert 10.0 < np.linalg.norm(errors_arcsec(wrong, right)) < 25.0
@@ -162,7 +162,7 @@ def test_beside_the_lit_moon_stars_without_aberration_turn_the_moon_by_twenty_ar
     """From 10 000 km that is a kilometre across the line of sight."""
     picture, moon = add_body(drawn_sky(ORION)), load_body("moon")
     seen = find_star_attitude(picture, None, CAMERA, SkyView(moon, utc_to_tdb_s(UTC)))
-    plain = StarIdentifier(CAMERA, bright_stars().at(utc_to_tdb_s(UTC)))
+    plain = StarIdentifier(CAMERA, load_bright_stars().propagate(utc_to_tdb_s(UTC)))
     wrong = plain.identify(find_spots(picture)).camera_from_sky
     ground = (0.0, 0.0, 1.0)  # of a sight along the boresight, inertial axes
     right = ORION.inv().apply(ground)
@@ -187,9 +187,9 @@ def test_a_sight_says_its_sigma_and_a_time_not_known_widens_it():
 
 def test_proper_motion_is_the_catalogues():
     """Rigil Kentaurus moves by 3.71" a year: Hipparcos 71683."""
-    stars = bright_stars()
+    stars = load_bright_stars()
     number = stars.names.index("Rigil Kentaurus")
-    moved = stars.at(utc_to_tdb_s("2016-04-01T00:00:00Z"))[number]
+    moved = stars.propagate(utc_to_tdb_s("2016-04-01T00:00:00Z"))[number]
     angle = np.arccos(moved @ stars.directions[number]) / ARCSEC
     assert angle / 25.0 == pytest.approx(3.71, abs=0.02)
     assert replace(stars, names=("",) * len(stars.names)).label(number) == "HIP 71683"
@@ -200,7 +200,9 @@ def test_a_real_frame_is_solved_to_four_arc_seconds():
     focal = 512.0 / np.tan(np.radians(11.4 / 2.0))
     camera = Camera("esa", "pinhole", 1024, 768, focal, (511.5, 383.5))
     picture = load_picture(REAL, camera)
-    fix = StarIdentifier(camera, bright_stars().at(None)).identify(find_spots(picture.values))
+    fix = StarIdentifier(camera, load_bright_stars().propagate(None)).identify(
+        find_spots(picture.values)
+    )
     assert fix.used.sum() >= 20
     assert fix.residual_rms_px / focal / ARCSEC < 4.0
     assert np.sqrt(np.diag(fix.covariance))[:2].max() / ARCSEC < 3.0
@@ -230,7 +232,7 @@ def whole_sky(count: int, faintest: float):
     places = [rng.uniform(0.0, 360.0, count), np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, count)))]
     magnitudes = np.sort(faintest + 2.5 * np.log10(rng.uniform(1e-4, 1.0, count)))
     motions = rng.normal(0.0, 20.0, (count, 2))
-    return stars_of(np.stack(places, 1), motions, magnitudes, 2016.0, ("",) * count)
+    return make_stars(np.stack(places, 1), motions, magnitudes, 2016.0, ("",) * count)
 
 
 NARROW = Camera("narrow", "pinhole", 1024, 1024, 512.0 / np.tan(np.radians(1.0)), (511.5, 511.5))
@@ -240,7 +242,7 @@ NARROW = Camera("narrow", "pinhole", 1024, 1024, 512.0 / np.tan(np.radians(1.0))
 def deep():
     """120,000 stars to magnitude 9, for a field of 2 deg."""
     stars = whole_sky(120_000, 9.0)
-    return StarIdentifier(NARROW, stars.at(None), stars)
+    return StarIdentifier(NARROW, stars.propagate(None), stars)
 
 
 def deep_spots(deep: StarIdentifier, turn: Rotation, rng, false: int) -> StarSpots:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from catalog.bodies.epochs import tdb_s_after
+from catalog.bodies.epochs import compute_tdb_s_after
 from catalog.config import resource
 from catalog.errors import ConfigError, NothingToDoError
 from catalog.progress import SilentProgress
@@ -52,7 +52,7 @@ def folder(
             if attitude:
                 frame = replace(
                     frame,
-                    tdb_s=float(tdb_s_after("2026-01-01T00:00:00Z", seconds)[0]),
+                    tdb_s=float(compute_tdb_s_after("2026-01-01T00:00:00Z", seconds)[0]),
                     camera_from_body=SHIP_FROM_BODY,
                     attitude_sigma_rad=1e-6,
                     position_m=PLACE,

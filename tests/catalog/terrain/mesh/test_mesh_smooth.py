@@ -7,20 +7,20 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from catalog.terrain.dem.file import path_of
-from catalog.terrain.mesh.refine import butterfly, finer_grid, smooth_corners
+from catalog.terrain.dem.file import resolve_path
+from catalog.terrain.mesh.refine import refine_grid, smooth_corners, split_by_butterfly
 from catalog.terrain.mesh.shape import Shape
 from catalog.terrain.mesh.table import RadiiGrid
-from catalog.terrain.mesh.winding import edges_of, volume_of
+from catalog.terrain.mesh.winding import compute_volume, find_edges
 
 
 def test_the_butterfly_leaves_a_ball_by_a_tenth_of_what_flat_faces_do() -> None:
     """Twelve vertices of the icosphere have five neighbours, the others six."""
     ball = trimesh.creation.icosphere(subdivisions=2)
-    vertices, faces = butterfly(np.asarray(ball.vertices), np.asarray(ball.faces))
+    vertices, faces = split_by_butterfly(np.asarray(ball.vertices), np.asarray(ball.faces))
     assert (vertices[: len(ball.vertices)] == ball.vertices).all()
     assert len(faces) == 4 * len(ball.faces)
-    edges = edges_of(faces)
+    edges = find_edges(faces)
     assert not edges.open.size
     assert not edges.crowded.size
     assert not edges.same.any()
@@ -35,7 +35,7 @@ def test_faces_about_needles_do_not_fold_over() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3)
     rough = np.asarray(ball.vertices) * rng.uniform(0.7, 1.3, (len(ball.vertices), 1))
     faces = np.asarray(ball.faces)
-    finer, quarter = butterfly(rough, faces)
+    finer, quarter = split_by_butterfly(rough, faces)
     parents = np.repeat(_normals(rough[faces]), 4, axis=0)
     assert (np.einsum("ij,ij->i", _normals(finer[quarter]), parents) > 0.0).all()
 
@@ -55,7 +55,7 @@ def lumpy(lats: np.ndarray, lons: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("first", [0.0, -180.0])
 def test_grids_are_smooth_over_poles_and_seam(first: float) -> None:
     lats, lons = np.linspace(-90.0, 90.0, 46), first + np.linspace(0.0, 360.0, 91)
-    fine = finer_grid(RadiiGrid(lats, lons, lumpy(lats, lons)), 4)
+    fine = refine_grid(RadiiGrid(lats, lons, lumpy(lats, lons)), 4)
     assert fine.radii.shape == (181, 361)
     assert fine.radii[::4, ::4] == pytest.approx(lumpy(lats, lons), abs=1e-9)
     # chords of 4 deg leave this body by up to 4e-3
@@ -63,9 +63,9 @@ def test_grids_are_smooth_over_poles_and_seam(first: float) -> None:
 
 
 def test_a_table_of_west_longitudes_looks_outward(phobos_shape: Shape) -> None:
-    path = path_of("bundled:phobos_thomas.tab", Path())
+    path = resolve_path("bundled:phobos_thomas.tab", Path())
     corners = smooth_corners(path, "west", 1e3, phobos_shape.vertices, phobos_shape.faces, 1)
-    volume = volume_of(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+    volume = compute_volume(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
     # faces cut off what is round: half the edges' length, a quarter of the loss of 4 km3
     assert volume / 1e9 == pytest.approx(5752.5, abs=1.5)
     assert volume > phobos_shape.volume_m3

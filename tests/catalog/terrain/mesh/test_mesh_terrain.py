@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.geometry.projection import Stereographic, TangentPlane, node_grid
-from catalog.rendering.shadow import lit_mask
-from catalog.terrain.mesh.rays import first_of_all
+from catalog.geometry.projection import Stereographic, TangentPlane, make_node_grid
+from catalog.rendering.shadow import make_lit_mask
+from catalog.terrain.mesh.rays import intersect_all
 from catalog.terrain.mesh.terrain import MeshTerrain
 
 PLACES = [(0.2, 0.3), (-1.2, 2.0), (1.5707, 0.0), (0.0, -3.1415), (0.7, -1.0)]
@@ -40,10 +40,10 @@ def test_heights_are_where_exact_rays_meet_all_triangles(terrain, lat, lon) -> N
     plane = terrain.projection(lat, lon)
     assert isinstance(plane, TangentPlane)
     grid = terrain.local_grid(plane, 60.0, 40)
-    x, y = node_grid(40, 60.0)
+    x, y = make_node_grid(40, 60.0)
     for row, col in ((0, 0), (3, 30), (20, 19), (39, 39), (11, 2)):
         start = plane.points(x[row, col], y[row, col], 3e4)
-        _, at = first_of_all(terrain.rays.corners, start, -plane.body_from_local[:, 2], 0.0)
+        _, at = intersect_all(terrain.rays.corners, start, -plane.body_from_local[:, 2], 0.0)
         assert grid[row, col] == pytest.approx(3e4 - at, abs=1e-3)
 
 
@@ -71,10 +71,10 @@ def test_a_large_body_has_radial_heights_on_its_sphere(terrain, tmp_path) -> Non
     place = body.projection(0.3, -0.7)
     assert isinstance(place, Stereographic)
     grid = body.local_grid(place, 5e3, 16)
-    lat, lon = place.latlon(*node_grid(16, 5e3))
+    lat, lon = place.latlon(*make_node_grid(16, 5e3))
     assert grid == pytest.approx(100.0 * (
         terrain.heights(lat, lon, 50.0) + 11.08e3) - 1.108e6, abs=0.3)  # fmt: skip
-    assert body.beyond(place, 5e3, 16) == ()
+    assert body.make_outer_grids(place, 5e3, 16) == ()
 
 
 def test_a_plane_of_the_ground_leaves_out_the_lobe_that_stands_over_it(binary) -> None:
@@ -86,7 +86,7 @@ def test_a_plane_of_the_ground_leaves_out_the_lobe_that_stands_over_it(binary) -
     ball = np.array([-2.4e3, 0.0, 0.0])
     assert plane.body_from_local[:, 2] @ (point - ball) / 2.4e3 > 0.95
     grid = own.local_grid(plane, 20.0, 40)
-    x, y = node_grid(40, 20.0)
+    x, y = make_node_grid(40, 20.0)
     placed = plane.points(x, y, grid)
     away = np.linalg.norm(placed - ball, axis=-1)
     assert np.isfinite(grid).all()
@@ -131,11 +131,11 @@ def test_shadows_on_patches_are_those_of_the_whole_body(terrain, elevation) -> N
         plane = terrain.projection(lat, lon)
         posting, size = 48.0, 80
         grid = terrain.local_grid(plane, posting, size)
-        beyond = terrain.beyond(plane, posting, size)
-        points = plane.points(*node_grid(size, posting), grid.astype(np.float64) + 0.5)
+        beyond = terrain.make_outer_grids(plane, posting, size)
+        points = plane.points(*make_node_grid(size, posting), grid.astype(np.float64) + 0.5)
         for azimuth in (10.0 + 11.0 * number, 100.0, 190.0, 280.0):
             sun = sun_of(elevation, azimuth)
-            lit = lit_mask(grid, posting, sun, plane.radius_m, beyond)
+            lit = make_lit_mask(grid, posting, sun, plane.radius_m, beyond)
             ray = plane.body_from_local @ sun
             blocked = terrain.rays.are_blocked(points.reshape(-1, 3), ray).reshape(lit.shape)
             differing.append((lit == blocked).mean())

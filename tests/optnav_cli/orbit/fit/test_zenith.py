@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from catalog.bodies.epochs import utc_from_tdb_s
-from catalog.bodies.stars import bright_stars
+from catalog.bodies.stars import load_bright_stars
 from catalog.errors import DataError, NoSolutionError
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.frames.orbit_tables import ZENITH
@@ -29,9 +29,9 @@ CONFIG = "[forces]\ndegree = 2\n[noise]\ndensity_m2_s3 = 1e-12\n"
 
 def sights_of(times, states, stars=STARS, noise=SIGMA, seed=1):
     """A zenith distance at each time, of the stars in turn."""
-    catalog = bright_stars()
+    catalog = load_bright_stars()
     of = np.arange(len(times)) % len(stars)
-    directions = catalog.at(times[0])[list(stars)][of]
+    directions = catalog.propagate(times[0])[list(stars)][of]
     values = zenith_distances(states[:, :3], directions)[0]
     values = values + noise * np.random.default_rng(seed).normal(size=len(times))
     names = tuple(catalog.label(star) for star in stars)

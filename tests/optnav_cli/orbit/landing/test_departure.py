@@ -9,7 +9,7 @@ import pytest
 
 from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
-from catalog.geometry.ellipsoid import normal_at, surface_at
+from catalog.geometry.ellipsoid import compute_normals, project_to_surface
 from catalog.terrain.synthetic import fractal
 from optnav_cli.orbit.landing.departure import check_clear, depart
 from optnav_cli.orbit.landing.model import OnboardMotion, turning_state
@@ -95,8 +95,8 @@ def test_a_target_on_the_far_side_is_refused(task: LandingTask) -> None:
 
 def rays_to_the_ground(task: LandingTask, count: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(5)
-    foot = surface_at(rng.normal(size=(count, 3)), PHOBOS.radii_m)
-    up = normal_at(foot, PHOBOS.radii_m)
+    foot = project_to_surface(rng.normal(size=(count, 3)), PHOBOS.radii_m)
+    up = compute_normals(foot, PHOBOS.radii_m)
     foot = foot - task.model.height(foot)[:, None] * up
     away = up + 0.55 * rng.uniform(-1.0, 1.0, (count, 3))
     away /= np.linalg.norm(away, axis=1)[:, None]
@@ -145,9 +145,9 @@ def test_drawn_ground_is_wrong_alike_as_the_navigator_takes_it() -> None:
         aside = np.cross(up, rng.normal(size=3))
         aside /= np.linalg.norm(aside, axis=1)[:, None]
         octaves = error_octaves(seed, length, PHOBOS.radius_m)
-        here = fractal.noise_at(octaves, up)
+        here = fractal.sum_noise(octaves, up)
         for k, away in enumerate(np.array([0.0, 0.5, 1.0, 2.0]) * length / PHOBOS.radius_m):
-            there = fractal.noise_at(octaves, np.cos(away) * up + np.sin(away) * aside)
+            there = fractal.sum_noise(octaves, np.cos(away) * up + np.sin(away) * aside)
             found[k] += np.mean(here * there) / 40.0
     assert found == pytest.approx(np.exp([-0.0, -0.5, -1.0, -2.0]), abs=0.05)
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.photometry.laws import law_by_name
+from catalog.photometry.laws import find_law
 from optnav_cli.camera.camera import Camera
 
 RADIUS_M = 1_737_400.0
@@ -67,7 +67,7 @@ def blurred_disc(
     side = np.cross(np.cross(rays, outward), rays)
     side /= np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-12)
     mu0 = mu * -(rays @ sun) + sine_emission * (side @ sun)
-    value = law_by_name(law)(mu0, mu, -rays @ sun) * np.clip(0.5 + FINE * inside_px, 0.0, 1.0)
+    value = find_law(law)(mu0, mu, -rays @ sun) * np.clip(0.5 + FINE * inside_px, 0.0, 1.0)
     blurred = cv2.GaussianBlur(value, (0, 0), psf_sigma_px * FINE)
     return np.asarray(cv2.resize(blurred, (width, height), interpolation=cv2.INTER_AREA))
 

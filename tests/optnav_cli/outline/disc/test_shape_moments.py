@@ -12,7 +12,7 @@ from catalog.rendering.mesh_scene import MeshScene
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.mesh.shape import load_shape
-from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
+from catalog.terrain.mesh.terrain import MeshTerrain, make_mesh_relief
 from optnav_cli.outline.disc.moments import compute_light_moments, compute_sphere_moments, is_round
 
 PHOBOS = load_body("phobos")
@@ -93,7 +93,7 @@ def test_phobos_light_is_known_better_from_its_relief_than_from_its_ellipsoid(
     mesh = MeshRays(shape.vertices[shape.faces])
     np.save(tmp_path / "corners.npy", mesh.corners)
     # as coarse as a posting of 1 km asks for
-    relief = relief_of_mesh(MeshTerrain(PHOBOS, tmp_path / "corners.npy", "phobos", 1000.0))
+    relief = make_mesh_relief(MeshTerrain(PHOBOS, tmp_path / "corners.npy", "phobos", 1000.0))
     missed: dict[bool, list[float]] = {False: [], True: []}
     for up in (unit([1.0, 0.2, 0.1]), unit([-0.3, 1.0, 0.4]), unit([0.2, -0.3, 1.0])):
         sun = np.cos(0.7) * up + np.sin(0.7) * unit(list(np.cross(up, [0.4, 0.1, 0.8])))

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
 from catalog.terrain.relief.relief import GlobalRelief
-from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
+from catalog.terrain.skyline.limb import LimbRelief, make_nadir_axes
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.outline.limb.detection import LimbPoints
 
@@ -44,7 +44,7 @@ def place(height_m, seed):
 
 def attitude(position, roll=0.4, tilt=0.03) -> Rotation:
     """camera_from_body of a camera that looks down, nearly."""
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
     down = Rotation.from_matrix(np.stack([axes[0], -axes[1], -axes[2]]))
     return Rotation.from_euler("zx", [roll, tilt]) * down
 
@@ -54,7 +54,7 @@ def limb_points(
 ) -> LimbPoints:
     """What a perfect finder would see of the skyline of a ground, with noise."""
     ground = LimbRelief(grounds()[0] if relief is None else relief, 0.0)
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
     azimuths = np.radians(np.linspace(-0.5 * arc_deg, 0.5 * arc_deg, 1500, endpoint=False))
     rng = np.random.default_rng(seed)
     line = ground.skyline(position, axes, azimuths)

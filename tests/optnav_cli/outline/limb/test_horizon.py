@@ -11,7 +11,7 @@ from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.relief.sums import load_relief
-from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
+from catalog.terrain.skyline.limb import LimbRelief, make_nadir_axes
 from optnav_cli.outline.limb.limb_rays import (
     compute_relief_covariance,
     compute_rough_errors,
@@ -94,7 +94,7 @@ def test_a_bare_sphere_s_sigmas_hold_over_the_real_moon_on_the_mean_of_many_turn
         squares = []
         for angle in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False):
             position = (radius + 8.3e6) * plane @ [np.cos(angle), np.sin(angle)]
-            axes, around = nadir_axes(position), np.radians(np.arange(0.0, 360.0, 2.0))
+            axes, around = make_nadir_axes(position), np.radians(np.arange(0.0, 360.0, 2.0))
             across = np.cos(around)[:, None] * axes[0] + np.sin(around)[:, None] * axes[1]
             off = limb.skyline(position, axes, around).off_nadir[:, None]
             rays = (np.sin(off) * across - np.cos(off) * axes[2])[across @ sun[:, 0] > 0.0]

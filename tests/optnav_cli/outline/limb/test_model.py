@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq, least_squares
 
 from catalog.errors import NoSolutionError
-from catalog.terrain.skyline.limb import nadir_axes
+from catalog.terrain.skyline.limb import make_nadir_axes
 from optnav_cli.outline.limb.model import fit_limb, solve_linear_position
 
 SHAPES = {
@@ -18,7 +18,7 @@ SHAPES = {
 def tangent_rays(position, radii, azimuths):
     """Rays that touch the ellipsoid: the double root of the ray's crossing, by bisection."""
     quadric = np.diag(1.0 / np.square(radii))
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
 
     def ray(azimuth, angle):
         across = np.cos(azimuth) * axes[0] + np.sin(azimuth) * axes[1]
@@ -125,7 +125,7 @@ def test_far_away_wrong_points_lose_their_weight():
     position = place(radii)
     rng = np.random.default_rng(2)
     rays = tangent_rays(position, radii, arc(300.0)) + rng.normal(0.0, 1e-5, (60, 3))
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
     rays[12:18] -= 0.01 * axes[2]
     fit = fit_limb(rays, 1e-5, radii, start_m=position * 1.0001, cut=1e-3)
     assert (fit.measured.weights[12:18] == 0.0).all()
@@ -157,7 +157,7 @@ def test_errors_common_to_neighbours_are_in_the_covariance():
     position = place(radii, 1.2)
     azimuths = arc(360.0, 240)
     rays = tangent_rays(position, radii, azimuths)
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
     rng = np.random.default_rng(7)
     honest, naive = [], []
     for _ in range(200):

@@ -14,7 +14,7 @@ from catalog.geometry.latlon import xyz_from_latlon
 from catalog.rendering.mesh_scene import MeshScene
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief
-from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
+from catalog.terrain.skyline.limb import LimbRelief, make_nadir_axes
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.outline.limb.detection import LimbPoints, find_limb
 from optnav_cli.outline.limb.limb_rays import LimbRays
@@ -75,7 +75,7 @@ def shapes():
 def view(seed, phase_deg):
     """A place, the Sun and camera_from_body of a camera that looks at the body, nearly."""
     rng = np.random.default_rng(seed)
-    axes = nadir_axes(rng.normal(size=3))
+    axes = make_nadir_axes(rng.normal(size=3))
     phase, turn = np.radians(phase_deg), rng.uniform(0.0, 2.0 * np.pi)
     aside = np.cos(turn) * axes[0] + np.sin(turn) * axes[1]
     sun = np.cos(phase) * axes[2] + np.sin(phase) * aside
@@ -85,7 +85,7 @@ def view(seed, phase_deg):
 
 def lit_points(relief, position, sun, camera_from_body, noise_px=0.05):
     """What a perfect finder would see of the silhouette of a shape, with noise."""
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
     azimuths = np.linspace(-np.pi, np.pi, 1200, endpoint=False)
     across = np.cos(azimuths)[:, None] * axes[0] + np.sin(azimuths)[:, None] * axes[1]
     across = across[across @ sun > 0.1]
@@ -149,7 +149,7 @@ def double():
     both = trimesh.boolean.union(parts, engine="manifold")
     mesh = MeshRays(1e3 * both.vertices[both.faces])
     out = directions(ROWS).reshape(-1, 3)
-    _, reached = mesh.first_hits(5e4 * out, -out)
+    _, reached = mesh.find_first_hits(5e4 * out, -out)
     heights = (5e4 - reached - PHOBOS.radius_m).reshape(ROWS, -1).astype(np.float32)
     body = replace(PHOBOS, radii_m=(12.75e3, 7e3, 6.2e3), plausible_heights_m=(-6.5e3, 6e3))
     fine = both.subdivide()
@@ -164,14 +164,14 @@ def test_silhouettes_are_where_rays_begin_to_miss_the_mesh():
     """Of the larger half, seen along the long axis; cells of 193 m cut a few metres off facets."""
     mesh, relief, _, _ = double()
     position = np.array([-8e4, 3e4, 2e4])
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
     azimuths = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
     across = np.cos(azimuths)[:, None] * axes[0] + np.sin(azimuths)[:, None] * axes[1]
     low, high = np.zeros(90), np.full(90, 0.5)
     for _ in range(30):
         middle = 0.5 * (low + high)
         rays = np.sin(middle)[:, None] * across - np.cos(middle)[:, None] * axes[2]
-        met = mesh.first_hits(position, rays)[0] >= 0
+        met = mesh.find_first_hits(position, rays)[0] >= 0
         low, high = np.where(met, middle, low), np.where(met, high, middle)
     rays = np.sin(low)[:, None] * across - np.cos(low)[:, None] * axes[2]
     sight = LimbRays(rays, np.full(90, PIXEL), np.full(90, 0.1), 1e-9, 0.0, np.arange(90))
@@ -192,7 +192,7 @@ def test_offsets_change_as_their_rates_say():
     )
     skyline = ShapeSkyline(LimbRelief(relief, 0.0), 0.0)
     limb = skyline.predict_silhouette(position, sight, None)
-    for step in 30.0 * nadir_axes(position)[:2]:
+    for step in 30.0 * make_nadir_axes(position)[:2]:
         after = skyline.predict_silhouette(position + step, sight, None).offsets
         before = skyline.predict_silhouette(position - step, sight, None).offsets
         expected = 2.0 * limb.rates @ step
@@ -263,7 +263,7 @@ def test_contact_binaries_are_solved_or_refused():
 def test_the_moon_keeps_its_own_way():
     """A relief that is no shape goes through its skyline, and a shape's solution refuses none."""
     position = place(2e5, 3)
-    axes = nadir_axes(position)
+    axes = make_nadir_axes(position)
     turned = Rotation.from_matrix(np.stack([axes[0], -axes[1], -axes[2]]))
     fix = navigate(limb_points(position, turned), preset_camera("shnk"), turned, 0.0, None,
                    load_body("moon"), grounds()[1])  # fmt: skip

@@ -12,7 +12,7 @@ from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from catalog.rendering.mesh_scene import MeshScene
 from catalog.terrain.mesh.rays import MeshRays
-from catalog.terrain.mesh.terrain import mesh_of_relief
+from catalog.terrain.mesh.terrain import make_relief_mesh
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Method
@@ -53,7 +53,7 @@ def shape() -> tuple[MeshRays, GlobalRelief]:
         ],
         axis=-1,
     ).reshape(-1, 3)
-    _, reached = mesh.first_hits(1e4 * out, -out)
+    _, reached = mesh.find_first_hits(1e4 * out, -out)
     heights = (1e4 - reached - 2e3).reshape(ROWS, -1).astype(np.float32)
     return mesh, GlobalRelief(heights, heights, 2e3, "made")
 
@@ -151,10 +151,10 @@ def test_a_body_that_the_frame_cuts_is_refused() -> None:
 
 def test_the_mesh_of_a_relief_has_its_heights() -> None:
     relief = shape()[1]
-    mesh = mesh_of_relief(relief)
+    mesh = make_relief_mesh(relief)
     out = np.random.default_rng(3).normal(size=(200, 3))
     out /= np.linalg.norm(out, axis=1)[:, None]
-    face, reached = mesh.first_hits(1e4 * out, -out)
+    face, reached = mesh.find_first_hits(1e4 * out, -out)
     assert (face >= 0).all()
     lat, lon = np.arcsin(out[:, 2]), np.arctan2(out[:, 1], out[:, 0])
     assert np.median(np.abs(1e4 - reached - 2e3 - relief.heights_at(lat, lon))) < 3.0
