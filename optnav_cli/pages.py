@@ -22,8 +22,8 @@ from optnav_cli.orbit.qso.settings import QSO_KIND
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.points.plots import draw_picked_sheet, is_picked
 from optnav_cli.report import page, sheet
-from optnav_cli.report.catalog_page import catalog_page
-from optnav_cli.report.error_plots import error_sheet
+from optnav_cli.report.catalog_page import build_catalog_page
+from optnav_cli.report.error_plots import draw_error_sheet
 from optnav_cli.stars.page import STARS_KIND, build_stars_page
 
 # Pages and pictures of output folders, by the kind that their manifest states.
@@ -73,7 +73,7 @@ def _write(source: Path, output: Path) -> None:
         run = read_run(source)
         if not any(solution.solved for solution in run.solutions):
             raise DataError(f"{source}: no frame is solved, so there is nothing to draw")
-        draw_run = draw_picked_sheet if is_picked(run) else error_sheet
+        draw_run = draw_picked_sheet if is_picked(run) else draw_error_sheet
         sheet.write_sheet(draw_run(run), output)
         return
     if source.is_dir():
@@ -81,7 +81,7 @@ def _write(source: Path, output: Path) -> None:
         text = next(made, build_calibration_page if is_calibration(source) else run_page)(source)
     elif source.is_file():
         with Catalog.open(source) as catalog:
-            text = catalog_page(catalog)
+            text = build_catalog_page(catalog)
     else:
         raise DataError(f"{source}: there is no such run or catalog; check the path")
     with replacing_file(output, starts_with(page.BEGINNING.encode())) as path:

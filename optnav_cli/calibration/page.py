@@ -52,7 +52,7 @@ def build_calibration_page(folder: Path) -> str:
         html.section("Made from", html.listing(read_manifest(folder))),
     ]
     subtitle = "Lens, mounting and clock by control points."
-    return html.page(f"Calibration {folder.resolve().name}", subtitle, sections)
+    return html.build_page(f"Calibration {folder.resolve().name}", subtitle, sections)
 
 
 def _format_label(row: Mapping[str, Any]) -> str:

@@ -173,9 +173,9 @@ def catalog_show(catalog: Path, point_id: int | None, output: Path | None, as_js
     document: dict[str, Any] = {}
     with Catalog.open(catalog) as opened:
         if point_id is None:
-            from optnav_cli.report.body_sides import sides_picture
+            from optnav_cli.report.body_sides import draw_sides_picture
 
-            write_png(sides_picture(opened), path)
+            write_png(draw_sides_picture(opened), path)
         else:
             pyramid = opened.pyramid(point_id)
             document = point_document(pyramid.point)

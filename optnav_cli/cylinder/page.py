@@ -13,8 +13,8 @@ from optnav_cli.frames.tables import CYLINDER
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.wording import format_json
 from optnav_cli.report import page as html
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet
-from optnav_cli.report.svg import HALF, Plot, PlotAxis, span
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
+from optnav_cli.report.svg import HALF, Plot, PlotAxis, find_span
 
 CYLINDER_KIND, CYLINDER_CSV = "cylinder", "cylinder.csv"
 # zones, and how they are drawn
@@ -43,7 +43,7 @@ def build_cylinder_page(folder: Path) -> str:
         html.section("Pictures", html.table(HEADER, [_format_cells(row) for row in rows], 2)),
         html.section("How it was made", html.listing(format_json(manifest))),
     ]
-    return html.page("A lit cylinder", f"{len(rows)} pictures", sections)
+    return html.build_page("A lit cylinder", f"{len(rows)} pictures", sections)
 
 
 def draw_cylinder_sheet(folder: Path, radius_m: float | None = None) -> str:
@@ -54,7 +54,7 @@ def draw_cylinder_sheet(folder: Path, radius_m: float | None = None) -> str:
     radius = _read_radius(read_manifest(folder)) if radius_m is None else radius_m
     rows = CYLINDER.rows(folder / CYLINDER_CSV)
     legend = [LegendEntry(kind, zone.replace("_", " "), line=False) for zone, kind in ZONES]
-    return sheet("A lit cylinder", legend, [list(_plot_panels(rows, radius))])
+    return draw_sheet("A lit cylinder", legend, [list(_plot_panels(rows, radius))])
 
 
 def _plot_panels(rows: Sequence[CsvRow], radius_m: float) -> list[Panel]:
@@ -67,7 +67,7 @@ def _plot_panels(rows: Sequence[CsvRow], radius_m: float) -> list[Panel]:
         (d_m, "d", "distance to the surface, m"),
         (theta, "θ", "angle of the light, °"),
     ):
-        axes = PlotAxis(span(seconds, 0.03), "seconds"), PlotAxis(span(values), label)
+        axes = PlotAxis(find_span(seconds, 0.03), "seconds"), PlotAxis(find_span(values), label)
         plot = Plot(*axes, width=HALF, height=HEIGHT)
         low, high = axes[1].ends
         for kind, part in _split_zones(solved):
@@ -80,8 +80,8 @@ def _plot_panels(rows: Sequence[CsvRow], radius_m: float) -> list[Panel]:
     x, y = reach * np.cos(np.radians(theta)), reach * np.sin(np.radians(theta))
     ends = (min(0.0, *x, 0.0), max(0.0, *x, 0.0)), (min(0.0, *y, 0.0), max(0.0, *y, 0.0))
     plot = Plot(
-        PlotAxis(span(ends[0], 0.1), "towards the light, m"),
-        PlotAxis(span(ends[1], 0.1), "across, m"),
+        PlotAxis(find_span(ends[0], 0.1), "towards the light, m"),
+        PlotAxis(find_span(ends[1], 0.1), "across, m"),
         width=HALF,
         height=HEIGHT,
         equal=True,

@@ -45,7 +45,7 @@ def make_hazard_page(folder: Path) -> str:
         html.section("How it was made", html.listing(format_json(manifest))),
     ]
     words = f"{len(chosen)} pads on the ground of {len(files)} pictures"
-    return html.page("Hazard map", words, sections)
+    return html.build_page("Hazard map", words, sections)
 
 
 def _format_row(row: CsvRow) -> tuple[str, ...]:
@@ -81,6 +81,6 @@ def _show_pictures(folder: Path) -> Iterator[Markup]:
         except DataError:
             continue
         name = path.parent.name if path.parent != folder else "picture, risk and slopes"
-        yield html.figure(html.image(html.uri_of(data, "png"), name), name)
+        yield html.figure(html.image(html.encode_uri(data, "png"), name), name)
     if len(paths) > MAX_PICTURES:
         yield html.paragraph(f"{len(paths) - MAX_PICTURES} more are in the folder.")

@@ -25,10 +25,10 @@ from optnav_cli.output.run_folder import COMMON_CSV, COMMON_JSON, RunFolder, rea
 from optnav_cli.output.tables import format_fixed
 from optnav_cli.points.plots import is_picked, plot_picked_points
 from optnav_cli.report import page as html
-from optnav_cli.report.error_plots import error_plots
-from optnav_cli.report.ground_map import ground_plot
-from optnav_cli.report.pictures import pictures_section
-from optnav_cli.report.svg import HALF, MOST, Plot, PlotAxis, span
+from optnav_cli.report.error_plots import plot_errors
+from optnav_cli.report.ground_map import plot_ground
+from optnav_cli.report.pictures import build_pictures
+from optnav_cli.report.svg import HALF, MOST, Plot, PlotAxis, find_span
 
 MAX_DOTS = 4000
 HISTOGRAM_BINS = 24
@@ -57,7 +57,7 @@ def residual_plots(run: RunFolder) -> list[Markup]:
     if scores:
         values = np.array([score for score, _ in scores])
         kept = np.array([flag for _, flag in scores], dtype=np.bool_)
-        edges = np.linspace(*span(values, 0.0), HISTOGRAM_BINS + 1)
+        edges = np.linspace(*find_span(values, 0.0), HISTOGRAM_BINS + 1)
         edges = edges if edges[-1] > edges[0] else edges[0] + np.linspace(-0.5, 0.5, 25)
         below, above = (np.histogram(values[c], edges)[0] for c in (~kept, kept))
         x = PlotAxis((edges[0], edges[-1]), "score")
@@ -182,16 +182,16 @@ def run_page(folder: Path) -> str:
         sections.append(html.section("Errors and stated sigmas", *_plots(run)))
         if is_descent(run):
             sections.append(html.section("Over the height", *_descent(run)))
-        sections.append(html.section("On the ground", ground_plot(run)))
+        sections.append(html.section("On the ground", plot_ground(run)))
     if is_picked(run):
         sections.append(html.section("Picked points", *plot_picked_points(run)))
     elif any(match.measured_px is not None for match in run.matches):
         sections.append(html.section("Control points", *residual_plots(run), _refusals(run)))
     frames = html.section("Frames", _frames(run.solutions))
-    sections += [pictures_section(run), _unsolved(run), frames, _made_from(folder)]
+    sections += [build_pictures(run), _unsolved(run), frames, _made_from(folder)]
     title = f"{run.attitude.body.name.capitalize()}: run {folder.resolve().name}"
     subtitle = f"{len(run.solutions)} frames, {len(solved)} solved. Positions in the body frame."
-    return html.page(title, subtitle, filter(None, sections))
+    return html.build_page(title, subtitle, filter(None, sections))
 
 
 def _common(folder: Path) -> Markup:
@@ -226,9 +226,9 @@ def _common(folder: Path) -> Markup:
 def _plots(run: RunFolder) -> list[Markup]:
     """The errors of each frame; with a note, stated sigmas where the stored errors are damaged."""
     try:
-        return error_plots(run)
+        return plot_errors(run)
     except DataError as error:
-        return [html.paragraph(str(error), "note"), *error_plots(run, stated=True)]
+        return [html.paragraph(str(error), "note"), *plot_errors(run, stated=True)]
 
 
 def _descent(run: RunFolder) -> list[Markup]:

@@ -186,7 +186,7 @@ class Canvas:
 
 
 def measure_text(words: str) -> int:
-    """Measure how wide `Canvas.draw_text` writes, canvas pixels."""
+    """Measure how wide `Canvas.text` writes, canvas pixels."""
     (width, _), _ = cv2.getTextSize(words, FONT, TEXT_SIZE, 1)
     return int(width)
 

@@ -15,7 +15,7 @@ from catalog.geometry.vectors import perpendicular_basis, unit
 from optnav_cli.fix import Fix, MatchKind, MatchRow, Solution
 from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.report.page import figure, side_by_side
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
 from optnav_cli.report.svg import HALF, Plot, PlotAxis
 
 MAX_FRAMES = 6  # that are drawn; of more, evenly through the run
@@ -62,7 +62,7 @@ def plot_picked_points(run: RunFolder) -> list[Markup]:
 
 def draw_picked_sheet(run: RunFolder) -> str:
     """Draw the plots as one picture (SVG) that stands alone."""
-    return sheet("Picked points", LEGEND, _plot_panels(_collect_frames(run)))
+    return draw_sheet("Picked points", LEGEND, _plot_panels(_collect_frames(run)))
 
 
 def _collect_frames(run: RunFolder) -> list[PickedFrame]:

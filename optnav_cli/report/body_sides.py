@@ -19,10 +19,15 @@ from catalog.store.reader import Catalog
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.output.canvas import FONT, SUBPIXEL_BITS
-from optnav_cli.report.catalog_maps import POINT_COLOURS, first_reasons, legend_entries, titles_of
-from optnav_cli.report.page import counted, data_uri, figure, legend, side_by_side
+from optnav_cli.report.catalog_maps import (
+    POINT_COLOURS,
+    find_first_reasons,
+    list_legend_entries,
+    list_titles,
+)
+from optnav_cli.report.page import count_things, encode_picture_uri, figure, legend, side_by_side
 from optnav_cli.report.svg import Plot
-from optnav_cli.report.views import THIRD, bgr_of
+from optnav_cli.report.views import THIRD, parse_colour
 
 # Where the viewer stands, what is up for him, what the side is called.
 SIDES = (
@@ -78,8 +83,8 @@ def has_sides(catalog: Catalog) -> bool:
     return catalog.meta.planes is not None and catalog.meta.relief is not None
 
 
-def sides(catalog: Catalog, size_px: int) -> list[Side]:
-    """Six views of the body, pictures of size_px a side.
+def draw_sides(catalog: Catalog, size_px: int) -> list[Side]:
+    """Draw six views of the body, pictures of size_px a side.
 
     Raises UsageError for a large body; DataError for a catalog that carries no relief or a damaged
     one, or a machine without embree's rays.
@@ -95,17 +100,17 @@ def sides(catalog: Catalog, size_px: int) -> list[Side]:
             f"{catalog.path}: carries no relief to draw the body from; build it again from a "
             "[[mesh]], or from a terrain model of the whole body"
         )
-    mesh = MeshRays(relief_corners(relief))
+    mesh = MeshRays(mesh_relief(relief))
     records = catalog.records
     lat, lon = np.radians(catalog.lat_deg), np.radians(catalog.lon_deg)
     points = xyz_from_latlon(lat, lon, np.asarray(records["radius_m"], np.float64))
-    lines = _graticule(relief)
+    lines = _trace_graticule(relief)
     hidden_m = HIDDEN_CELLS * relief.posting_m * max(1.0, len(relief.heights) / MAX_ROWS)
-    return [_side(mesh, side, size_px, points, lines, hidden_m) for side in SIDES]
+    return [_draw_side(mesh, side, size_px, points, lines, hidden_m) for side in SIDES]
 
 
-def relief_corners(relief: GlobalRelief) -> FloatArray:
-    """The relief's mean heights as a closed mesh (m, 3, 3) m, counter-clockwise from outside.
+def mesh_relief(relief: GlobalRelief) -> FloatArray:
+    """Mesh the relief's mean heights: closed, (m, 3, 3) m, counter-clockwise from outside.
 
     More than MAX_ROWS rows are averaged to as many or fewer.
     """
@@ -128,21 +133,21 @@ def relief_corners(relief: GlobalRelief) -> FloatArray:
     return np.concatenate([part.reshape(-1, 3, 3) for part in parts])
 
 
-def _graticule(relief: GlobalRelief) -> list[FloatArray]:
-    """Parallels and meridians (k, 3) m on the relief."""
+def _trace_graticule(relief: GlobalRelief) -> list[FloatArray]:
+    """Trace parallels and meridians (k, 3) m on the relief."""
     along = np.radians(np.arange(-180.0, 180.0 + LINE_STEP_DEG, LINE_STEP_DEG))
     upward = np.radians(np.arange(-90.0, 90.0 + LINE_STEP_DEG, LINE_STEP_DEG))
     parallels = np.radians(range(-90 + GRATICULE_DEG, 90, GRATICULE_DEG))
-    found = [(np.full_like(along, lat), along) for lat in parallels]
+    curves = [(np.full_like(along, lat), along) for lat in parallels]
     meridians = np.radians(range(-180, 180, GRATICULE_DEG))
-    found += [(upward, np.full_like(upward, lon)) for lon in meridians]
+    curves += [(upward, np.full_like(upward, lon)) for lon in meridians]
     return [
         MARGIN * xyz_from_latlon(lat, lon, relief.radius_m + relief.heights_at(lat, lon))
-        for lat, lon in found
+        for lat, lon in curves
     ]
 
 
-def _side(
+def _draw_side(
     mesh: MeshRays,
     side: tuple[tuple[int, ...], tuple[int, ...], str],
     size_px: int,
@@ -165,33 +170,33 @@ def _side(
         light += share * bright / max(float(np.percentile(bright[bright > 0.0], 99.5)), 1e-9)
     gray = np.rint(255.0 * np.clip(light, 0.0, 1.0) ** GAMMA).astype(np.uint8)
 
-    def shown(places: FloatArray) -> FloatArray:
+    def hide_behind(places: FloatArray) -> FloatArray:
         sight = places - viewer
-        away = np.linalg.norm(sight, axis=1)
-        _, met = mesh.find_first_hits(viewer, sight / away[:, None])
+        distances = np.linalg.norm(sight, axis=1)
+        _, met = mesh.find_first_hits(viewer, sight / distances[:, None])
         flat = np.column_stack([places @ right, places @ up])
-        flat[met < away - hidden_m] = np.nan
+        flat[met < distances - hidden_m] = np.nan
         return flat
 
-    return Side(side[2], half, gray, shown(points), [shown(line) for line in lines])
+    return Side(side[2], half, gray, hide_behind(points), [hide_behind(line) for line in lines])
 
 
-def sides_figure(catalog: Catalog) -> Markup:
-    """HTML of the six sides with their points. Raises as `sides` does."""
-    kinds = first_reasons(catalog)
+def build_sides_figure(catalog: Catalog) -> Markup:
+    """Build HTML of the six sides with their points. Raises as `draw_sides` does."""
+    kinds = find_first_reasons(catalog)
     colours = [POINT_COLOURS[kind] for kind in kinds.tolist()]
     drawings = []
-    for side in sides(catalog, round(SHARPNESS * THIRD)):
+    for side in draw_sides(catalog, round(SHARPNESS * THIRD)):
         half = side.half_m / 1e3
         ends = (-half, half)
         plot = Plot(ends, ends, width=THIRD, height=THIRD, axes=False, margins=(0, 0, 0, 0))
-        plot.picture(data_uri(side.gray))
+        plot.picture(encode_picture_uri(side.gray))
         for line in side.lines:
             plot.line(line[:, 0] / 1e3, line[:, 1] / 1e3, "graticule")
         x, y = side.places.T / 1e3
-        plot.dots(x, y, "ringed", 3.6, titles_of(catalog, kinds), colours)
+        plot.dots(x, y, "ringed", 3.6, list_titles(catalog, kinds), colours)
         plot.text(-0.97 * half, 0.91 * half, side.name, "halo")
-        bar = _bar_km(side)
+        bar = _choose_bar_km(side)
         plot.line((0.95 * half - bar, 0.95 * half), (-0.95 * half, -0.95 * half), "scale")
         plot.text(0.95 * half, -0.91 * half, f"{bar:g} km", "halo", "end")
         drawings.append(plot.svg(f"Control points seen from {side.name}"))
@@ -199,77 +204,81 @@ def sides_figure(catalog: Catalog) -> Markup:
         "Where the points are, on the relief that the catalog carries; lines every 30°. A point is "
         "coloured by the first check that it failed."
     )
-    return figure(side_by_side("triple", drawings), caption, extra=legend(legend_entries(kinds)))
+    return figure(
+        side_by_side("triple", drawings), caption, extra=legend(list_legend_entries(kinds))
+    )
 
 
-def sides_picture(catalog: Catalog) -> ByteArray:
-    """The six sides with their points, a scale and a legend, (h, w, 3) blue, green, red.
+def draw_sides_picture(catalog: Catalog) -> ByteArray:
+    """Draw the six sides with their points, a scale and a legend, (h, w, 3) blue, green, red.
 
     Raises as `sides` does.
     """
-    kinds = first_reasons(catalog)
-    tiles = [_tile(side, kinds) for side in sides(catalog, SIDE_PX)]
-    rows = [_joined(tiles[k : k + COLUMNS]) for k in range(0, len(tiles), COLUMNS)]
+    kinds = find_first_reasons(catalog)
+    tiles = [_draw_tile(side, kinds) for side in draw_sides(catalog, SIDE_PX)]
+    rows = [_join_tiles(tiles[k : k + COLUMNS]) for k in range(0, len(tiles), COLUMNS)]
     width = rows[0].shape[1]
     head = np.full((HEAD_PX, width, 3), PAPER, np.uint8)
     usable = int(np.count_nonzero(catalog.usable))
-    words = f"{catalog.meta.body}: {catalog.path.name}, {counted(len(catalog), 'control point')}"
+    words = (
+        f"{catalog.meta.body}: {catalog.path.name}, {count_things(len(catalog), 'control point')}"
+    )
     _write(head, f"{words}, {usable} usable", GAP_PX, 22, INK, 0.55)
-    return np.vstack([head, *rows, _legend(width, kinds)])
+    return np.vstack([head, *rows, _draw_legend(width, kinds)])
 
 
-def _tile(side: Side, kinds: IntArray) -> ByteArray:
+def _draw_tile(side: Side, kinds: IntArray) -> ByteArray:
     bare: ByteArray = np.repeat(side.gray[..., None], 3, axis=2)
     lined = bare.copy()
     for line in side.lines:
-        _polyline(lined, _pixels(line, side), LINE, 1)
+        _draw_polyline(lined, _project_to_pixels(line, side), LINE, 1)
     mixed = cv2.addWeighted(lined, LINE_STRENGTH, bare, 1.0 - LINE_STRENGTH, 0.0)
     tile = np.asarray(mixed, np.uint8)
-    for (x, y), kind in zip(_pixels(side.places, side), kinds.tolist(), strict=True):
+    for (x, y), kind in zip(_project_to_pixels(side.places, side), kinds.tolist(), strict=True):
         if np.isfinite(x):
-            _dot(tile, x, y, POINT_COLOURS[kind])
+            _draw_dot(tile, x, y, POINT_COLOURS[kind])
     _write(tile, side.name, 10, 20, SOFT)
-    bar = _bar_km(side)
+    bar = _choose_bar_km(side)
     across = bar * 1e3 / (2.0 * side.half_m) * SIDE_PX
     end, foot = SIDE_PX - 12.0, SIDE_PX - 14.0
-    _polyline(tile, np.array([[end - across, foot], [end, foot]]), SOFT, 2)
+    _draw_polyline(tile, np.array([[end - across, foot], [end, foot]]), SOFT, 2)
     _write(tile, f"{bar:g} km", round(end - across), SIDE_PX - 22, SOFT)
     return tile
 
 
-def _bar_km(side: Side) -> float:
-    """The longest round length that a scale bar has room for."""
+def _choose_bar_km(side: Side) -> float:
+    """Choose the longest round length that a scale bar has room for."""
     most = BAR_SHARE * 2.0 * side.half_m / 1e3
     unit = 10.0 ** np.floor(np.log10(most))
     return float(max(step for step in (1.0, 2.0, 5.0) if step * unit <= most) * unit)
 
 
-def _pixels(places: FloatArray, side: Side) -> FloatArray:
-    """Picture x, y (n, 2) of places (n, 2) m right and up of the middle."""
+def _project_to_pixels(places: FloatArray, side: Side) -> FloatArray:
+    """Project places (n, 2), m right and up of the middle, to picture x, y (n, 2)."""
     scale = SIDE_PX / (2.0 * side.half_m)
     middle = (SIDE_PX - 1) / 2.0
     return np.column_stack([middle + scale * places[:, 0], middle - scale * places[:, 1]])
 
 
-def _polyline(
+def _draw_polyline(
     picture: ByteArray, points: FloatArray, colour: tuple[int, int, int], width: int
 ) -> None:
-    """A line through points (n, 2) px, broken where one is not finite."""
+    """Draw a line through points (n, 2) px, broken where one is not finite."""
     for run in np.split(points, np.flatnonzero(~np.isfinite(points[:, 0]))):
         run = run[np.isfinite(run[:, 0])]
         fixed = np.rint(run * 2**SUBPIXEL_BITS).astype(np.int32)
         cv2.polylines(picture, [fixed], False, colour, width, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
-def _dot(picture: ByteArray, x: float, y: float, colour: str) -> None:
+def _draw_dot(picture: ByteArray, x: float, y: float, colour: str) -> None:
     at = round(x * 2**SUBPIXEL_BITS), round(y * 2**SUBPIXEL_BITS)
-    for radius, shade in ((DOT_PX, RIM), (DOT_PX - 1.1, bgr_of(colour))):
+    for radius, shade in ((DOT_PX, RIM), (DOT_PX - 1.1, parse_colour(colour))):
         fixed = round(radius * 2**SUBPIXEL_BITS)
         cv2.circle(picture, at, fixed, shade, -1, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
-def _joined(tiles: Sequence[ByteArray]) -> ByteArray:
-    """Tiles in a row on paper, with gaps about them."""
+def _join_tiles(tiles: Sequence[ByteArray]) -> ByteArray:
+    """Join tiles in a row on paper, with gaps about them."""
     height, width = tiles[0].shape[:2]
     row = np.full((height + GAP_PX, len(tiles) * (width + GAP_PX) + GAP_PX, 3), PAPER, np.uint8)
     for k, tile in enumerate(tiles):
@@ -278,15 +287,15 @@ def _joined(tiles: Sequence[ByteArray]) -> ByteArray:
     return row
 
 
-def _legend(width: int, kinds: IntArray) -> ByteArray:
-    """What the dots mean, in columns as wide as the sides."""
-    entries = legend_entries(kinds)
+def _draw_legend(width: int, kinds: IntArray) -> ByteArray:
+    """Draw the meaning of the dots, in columns as wide as the sides."""
+    entries = list_legend_entries(kinds)
     column = SIDE_PX + GAP_PX
     strip = np.full((ROW_PX * -(-len(entries) // COLUMNS) + 6, width, 3), PAPER, np.uint8)
     for number, (colour, words) in enumerate(entries):
-        row, place = divmod(number, COLUMNS)
-        x, y = GAP_PX + column * place, ROW_PX * row + 16
-        _dot(strip, x + 6.0, y - 4.5, colour)
+        row, column_number = divmod(number, COLUMNS)
+        x, y = GAP_PX + column * column_number, ROW_PX * row + 16
+        _draw_dot(strip, x + 6.0, y - 4.5, colour)
         words = words.encode("ascii", "replace").decode("ascii")  # the font has nothing else
         _write(strip, words, x + 18, y, INK)
     return strip

@@ -10,8 +10,8 @@ from markupsafe import Markup
 from catalog.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from catalog.control_point import FLAG_MEANINGS, SHADOW_AZIMUTHS
 from catalog.store.reader import Catalog
-from optnav_cli.report.page import data_uri, figure, grouped, legend, side_by_side
-from optnav_cli.report.relief import GRAY, relief
+from optnav_cli.report.page import encode_picture_uri, figure, format_count, legend, side_by_side
+from optnav_cli.report.relief import GRAY, find_relief
 from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis
 from optnav_cli.report.views import (
     OTHER,
@@ -21,10 +21,10 @@ from optnav_cli.report.views import (
     USABLE,
     MapView,
     Scale,
-    bgr_of,
-    blended,
-    rows_of_pixels,
-    views,
+    blend,
+    choose_views,
+    find_rows,
+    parse_colour,
 )
 
 MAX_DOTS = 1500  # more points are shown by their cells instead of one by one
@@ -53,12 +53,12 @@ class MapPanel:
     lon_deg: FloatArray
     rows: Int32Array  # (h, w), -1 for no point
 
-    def painted(self, colours: ByteArray) -> ByteArray:
-        """Picture (h, w, 4) of the points' colours (n, 4); clear where there is no point."""
+    def paint(self, colours: ByteArray) -> ByteArray:
+        """Paint a picture (h, w, 4) in the points' colours (n, 4); clear where no point is."""
         return np.concatenate([colours, np.zeros((1, 4), np.uint8)])[self.rows]
 
     def plot(self, *pictures: str) -> Plot:
-        """A drawing of the map with pictures (data addresses) of its pixels on it."""
+        """Draw the map with pictures (data addresses) of its pixels on it."""
         plot = self.view.plot()
         if self.view.outline is not None:
             plot.area(self.view.outline[0], self.view.outline[1], "ground")
@@ -67,19 +67,19 @@ class MapPanel:
         return plot
 
 
-def panels(catalog: Catalog) -> list[MapPanel]:
-    """The maps of a catalog with at least one point, the main one first."""
+def list_panels(catalog: Catalog) -> list[MapPanel]:
+    """List the maps of a catalog with at least one point, the main one first."""
     grid, ids = catalog.grid, catalog.ids
-    shown = views(grid, ids, catalog.lat_deg, catalog.lon_deg, catalog.meta.radius_m)
+    shown = choose_views(grid, ids, catalog.lat_deg, catalog.lon_deg, catalog.meta.radius_m)
     places = [view.pixels() for view in shown]
     return [
-        MapPanel(view, lat, lon, rows_of_pixels(grid, ids, lat, lon))
+        MapPanel(view, lat, lon, find_rows(grid, ids, lat, lon))
         for view, (lat, lon) in zip(shown, places, strict=True)
     ]
 
 
-def first_reasons(catalog: Catalog) -> IntArray:
-    """For each point 0 where it is usable, or 1 + the place in REASONS of its first failed check.
+def find_first_reasons(catalog: Catalog) -> IntArray:
+    """Find for each point 0 if usable, else 1 + the place in REASONS of its first failed check.
 
     A point without any known flag gets 1 + len(REASONS).
     """
@@ -91,53 +91,55 @@ def first_reasons(catalog: Catalog) -> IntArray:
     return kinds
 
 
-def legend_entries(
+def list_legend_entries(
     kinds: IntArray, colours: Sequence[str] = POINT_COLOURS
 ) -> list[tuple[str, str]]:
-    """Colours and words, with their number, of the kinds (n,) of `first_reasons` that occur."""
+    """List colours and words, with their number, of the kinds (n,) that occur."""
     counts = np.bincount(kinds, minlength=len(POINT_WORDS)).tolist()
     entries = zip(colours, POINT_WORDS, counts, strict=True)
-    return [(colour, f"{words}: {grouped(count)}") for colour, words, count in entries if count]
+    return [
+        (colour, f"{words}: {format_count(count)}") for colour, words, count in entries if count
+    ]
 
 
-def usable_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Markup:
-    """Usable points and why others are not, on shaded relief; with a drawing beside the caps."""
-    kinds = first_reasons(catalog)
+def draw_usable_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Markup:
+    """Draw usable points and why others are not, on shaded relief; a drawing stands beside caps."""
+    kinds = find_first_reasons(catalog)
     colours: Sequence[str] = POINT_COLOURS
-    whole = maps[0].view.whole
-    dots = not whole and len(catalog) <= MAX_DOTS
+    of_body = maps[0].view.of_body
+    dots = not of_body and len(catalog) <= MAX_DOTS
     strength = np.where(kinds == 0, TINT, STRONG_TINT)
     by_kind = [colours[kind] for kind in kinds.tolist()]
-    tints = _bgra(by_kind, strength)
+    tints = _stack_colours(by_kind, strength)
     drawings, whose = [], ""
-    for panel in maps if whole else maps[:1]:
-        ground = relief(catalog, panel.lat_deg, panel.lon_deg)
+    for panel in maps if of_body else maps[:1]:
+        ground = find_relief(catalog, panel.lat_deg, panel.lon_deg)
         pictures = []
         if ground is not None:
             gray, known, whose = ground
-            pictures.append(data_uri(_with_edge(gray, known)))
+            pictures.append(encode_picture_uri(_mask_unknown(gray, known)))
         if not dots:
-            pictures.append(data_uri(panel.painted(tints)))
+            pictures.append(encode_picture_uri(panel.paint(tints)))
         plot = panel.plot(*pictures)
         if dots:
             x, y = panel.view.places(catalog.lat_deg, catalog.lon_deg)
             radius = float(np.clip(120.0 / np.sqrt(len(x)), 3.0, 6.5))
-            plot.dots(x, y, "ringed", radius, titles_of(catalog, kinds), by_kind)
+            plot.dots(x, y, "ringed", radius, list_titles(catalog, kinds), by_kind)
         drawings.append(plot.svg(f"Map of usable control points: {panel.view.name}"))
     if not dots:  # as they look on the relief
         shares = [TINT / SOLID] + [STRONG_TINT / SOLID] * (len(colours) - 1)
-        colours = [blended(c, share, GRAY) for c, share in zip(colours, shares, strict=True)]
-    entries = legend_entries(kinds, colours)
+        colours = [blend(c, share, GRAY) for c, share in zip(colours, shares, strict=True)]
+    entries = list_legend_entries(kinds, colours)
     shape = "a dot a point" if dots else "a tile a cell"
     first = "" if len(entries) < 2 else " A point is coloured by the first check that it failed."
-    if whole:
+    if of_body:
         drawings.append(beside)
-    drawn = _arranged(drawings, whole) if whole else drawings[0]
+    drawn = _arrange(drawings, of_body) if of_body else drawings[0]
     words = f"Where the points are, {shape}.{first} {whose}"
     return figure(drawn, words, extra=legend(entries))
 
 
-def value_map(
+def draw_value_map(
     maps: Sequence[MapPanel],
     values: FloatArray,
     scale: Scale,
@@ -145,31 +147,31 @@ def value_map(
     histogram: Markup,
     caption: str,
 ) -> Markup:
-    """Cells coloured by a value (n,) of their points, with the histogram that is their legend."""
+    """Draw cells coloured by a value (n,) of their points; the histogram is the legend."""
     known = np.isfinite(values)
     colours = np.zeros((len(values), 4), np.uint8)
-    colours[:, :3] = bgr_of(OTHER)
+    colours[:, :3] = parse_colour(OTHER)
     colours[known, :3] = scale.bgr(values[known])
     colours[:, 3] = SOLID
     unknown = Markup()
     if not known.all():
-        unknown = legend([(OTHER, f"not known: {grouped(int((~known).sum()))}")])
-    return figure(_coloured(maps, colours, name, histogram), caption, extra=unknown)
+        unknown = legend([(OTHER, f"not known: {format_count(int((~known).sum()))}")])
+    return figure(_draw_coloured_maps(maps, colours, name, histogram), caption, extra=unknown)
 
 
-def source_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Markup:
-    """Which terrain model each point comes from; with HTML beside the small maps."""
+def draw_source_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Markup:
+    """Draw which terrain model each point comes from; with HTML beside the small maps."""
     sources = catalog.records["source"].astype(np.int64)
     names = catalog.meta.point_sources
     colours = [SOURCE_COLOURS[k % len(SOURCE_COLOURS)] for k in range(len(names))]
-    painted = _bgra([colours[k] for k in sources.tolist()], np.full(len(sources), SOLID))
+    painted = _stack_colours([colours[k] for k in sources.tolist()], np.full(len(sources), SOLID))
     keys = legend([(c, name or NO_SOURCE) for c, name in zip(colours, names, strict=True)])
-    drawn = _coloured(maps, painted, "sources", beside)
+    drawn = _draw_coloured_maps(maps, painted, "sources", beside)
     return figure(drawn, "Terrain model of each point.", extra=keys)
 
 
-def shift_map(catalog: Catalog, maps: Sequence[MapPanel]) -> Markup:
-    """Enlarged shifts of the points in the comparison model: a line from a dot at each point."""
+def draw_shift_map(catalog: Catalog, maps: Sequence[MapPanel]) -> Markup:
+    """Draw enlarged shifts of the points in the comparison model, a line from each point."""
     rows = [row for row, number in enumerate(catalog.ids.tolist()) if number in catalog.shifts]
     rows = rows[:: max(1, -(-len(rows) // MAX_DOTS))]
     shifts = [catalog.shifts[number] for number in catalog.ids[rows].tolist()]
@@ -190,29 +192,33 @@ def shift_map(catalog: Catalog, maps: Sequence[MapPanel]) -> Markup:
         plot.line([x0, x1], [y0, y1], "s2")
     plot.dots(x, y, "s1", 2.0)
     times = round(np.radians(scale) * catalog.meta.radius_m)
-    words = f"Shifts of the points in the comparison model, {grouped(times)} times enlarged."
+    words = f"Shifts of the points in the comparison model, {format_count(times)} times enlarged."
     return figure(plot.svg("Map of shifts in the comparison model"), words)
 
 
-def _coloured(maps: Sequence[MapPanel], colours: ByteArray, name: str, beside: Markup) -> Markup:
-    """All maps of a whole body, or the small one, in the points' colours (n, 4)."""
-    whole = maps[0].view.whole
+def _draw_coloured_maps(
+    maps: Sequence[MapPanel], colours: ByteArray, name: str, beside: Markup
+) -> Markup:
+    """Draw all maps of a body, or the small one, in the points' colours (n, 4)."""
+    of_body = maps[0].view.of_body
     drawings = [
-        panel.plot(data_uri(panel.painted(colours))).svg(f"Map of {name}: {panel.view.name}")
-        for panel in (maps if whole else maps[1:])
+        panel.plot(encode_picture_uri(panel.paint(colours))).svg(
+            f"Map of {name}: {panel.view.name}"
+        )
+        for panel in (maps if of_body else maps[1:])
     ]
-    return _arranged([*drawings, beside], whole)
+    return _arrange([*drawings, beside], of_body)
 
 
-def _arranged(drawings: Sequence[Markup], whole: bool) -> Markup:
-    """A main map across the page with the rest in a row below it, or all in pairs."""
-    if not whole:
+def _arrange(drawings: Sequence[Markup], of_body: bool) -> Markup:
+    """Arrange a main map across the page with the others in a row below it, or all in pairs."""
+    if not of_body:
         return side_by_side("pair", drawings)
     return drawings[0] + side_by_side("triple", drawings[1:])
 
 
-def titles_of(catalog: Catalog, kinds: IntArray) -> list[str]:
-    """What the pointer shows of each point; kinds (n,) as of `first_reasons`."""
+def list_titles(catalog: Catalog, kinds: IntArray) -> list[str]:
+    """List what the pointer shows of each point; kinds (n,) of `find_first_reasons`."""
     scores = catalog.records["localisation_nodes"]
     return [
         f"{point}: {POINT_WORDS[kind]}, predicted error {score:.2f} nodes"
@@ -220,21 +226,21 @@ def titles_of(catalog: Catalog, kinds: IntArray) -> list[str]:
     ]
 
 
-def _bgra(colours: Sequence[str], strength: IntArray) -> ByteArray:
-    table = {colour: bgr_of(colour) for colour in set(colours)}
+def _stack_colours(colours: Sequence[str], strength: IntArray) -> ByteArray:
+    table = {colour: parse_colour(colour) for colour in set(colours)}
     bgr = np.array([table[colour] for colour in colours], np.uint8).reshape(-1, 3)
     return np.column_stack([bgr, strength.astype(np.uint8)])
 
 
-def _with_edge(gray: ByteArray, known: BoolArray) -> ByteArray:
-    """A gray picture that is clear where no ground is known."""
+def _mask_unknown(gray: ByteArray, known: BoolArray) -> ByteArray:
+    """Mask a gray picture where no ground is known."""
     if known.all():
         return gray
     alpha = np.where(known, SOLID, 0).astype(np.uint8)
     return np.dstack([np.where(known, gray, 0)] * 3 + [alpha]).astype(np.uint8)
 
 
-def histogram(
+def draw_histogram(
     values: FloatArray,
     usable: BoolArray,
     scale: Scale,
@@ -243,7 +249,7 @@ def histogram(
     label: str,
     wide: bool,
 ) -> Markup:
-    """How many points have which value, in the colours of the map, over its colour bar.
+    """Draw how many points have which value, in the colours of the map, over its colour bar.
 
     Usable points are coloured, the others stand on them in gray. Values beyond the edges are
     counted in the outermost bars.
@@ -255,26 +261,26 @@ def histogram(
     good, bad = (np.histogram(inside[known & choice], edges)[0] for choice in (usable, ~usable))
     top = 1.08 * max(float((good + bad).max()), MIN_TOP)
     width, height = (THIRD, THIRD) if wide else (HALF, HALF_HEIGHT)
-    along = scale.along(edges)
+    along = scale.map_to_axis(edges)
     x = PlotAxis((float(along[0]), float(along[-1])), label, scale.log)
     plot = Plot(x, PlotAxis((-STRIP * top, top), "points"), width=width, height=height)
     colours = scale.css((along[:-1] + along[1:]) / 2.0)
     spans = [f"{low:.3g} to {high:.3g}" for low, high in pairwise(edges.tolist())]
-    plot.bars(along, good, "full", 0.0, colours, _titles(spans, good, "usable"))
-    plot.bars(along, bad, "muted", good, None, _titles(spans, bad, "not usable"))
+    plot.bars(along, good, "full", 0.0, colours, _list_bar_titles(spans, good, "usable"))
+    plot.bars(along, bad, "muted", good, None, _list_bar_titles(spans, bad, "not usable"))
     bar = np.linspace(along[0], along[-1], 65)
     strip = np.full(64, STRIP * top)
     plot.bars(bar, strip, "seamless", -STRIP * top, scale.css((bar[:-1] + bar[1:]) / 2.0))
     if (known & usable).any():
         middle = float(np.median(values[known & usable]))
         if edges[0] <= middle <= edges[-1]:
-            place = float(scale.along(np.array(middle)))
-            plot.line((place, place), (0.0, top), "median")
+            middle_x = float(scale.map_to_axis(np.array(middle)))
+            plot.line((middle_x, middle_x), (0.0, top), "median")
     return plot.svg(f"Histogram of {name}")
 
 
-def latitude_plot(catalog: Catalog) -> Markup:
-    """Share of usable points by latitude."""
+def plot_latitudes(catalog: Catalog) -> Markup:
+    """Plot the share of usable points by latitude."""
     edges = np.linspace(-90.0, 90.0, round(180.0 / BAND_DEG) + 1)
     latitudes = (catalog.lat_deg, catalog.lat_deg[catalog.usable])
     total, good = (np.histogram(lat_deg, edges)[0] for lat_deg in latitudes)
@@ -286,21 +292,21 @@ def latitude_plot(catalog: Catalog) -> Markup:
     return plot.svg("Share of usable points by latitude")
 
 
-def edges_of(scale: Scale) -> FloatArray:
-    """Bars over the range of a scale."""
+def compute_edges(scale: Scale) -> FloatArray:
+    """Compute bars over the range of a scale."""
     space = np.geomspace if scale.log else np.linspace
     return space(scale.low, scale.high, BINS + 1)
 
 
-def rate_edges(trials: IntArray) -> FloatArray:
-    """Bars for success rates: one for each possible rate where all points had as many trials."""
+def compute_rate_edges(trials: IntArray) -> FloatArray:
+    """Compute bars for success rates: one per possible rate if all points had as many trials."""
     numbers = np.unique(trials[trials > 0])
     steps = min(int(numbers[0]), MAX_EXACT_TRIALS) if len(numbers) == 1 else 20
     return (np.arange(steps + 2) - 0.5) / steps
 
 
-def spread_words(values: FloatArray, usable: BoolArray, form: str) -> str:
-    """Median and spread of the usable points' values in words, "" without any."""
+def describe_spread(values: FloatArray, usable: BoolArray, form: str) -> str:
+    """Describe median and spread of the usable points' values, "" without any."""
     known = values[usable & np.isfinite(values)]
     if known.size == 0:
         return ""
@@ -308,8 +314,8 @@ def spread_words(values: FloatArray, usable: BoolArray, form: str) -> str:
     return f"Usable points: median {middle}, 80 % between {low} and {high}."
 
 
-def beyond_words(values: FloatArray, edges: FloatArray) -> str:
-    """How many values the outermost bars hold that lie beyond them, "" for none."""
+def describe_values_beyond(values: FloatArray, edges: FloatArray) -> str:
+    """Describe how many values beyond them the outermost bars hold, "" for none."""
     words = []
     for beyond, end in ((values < edges[0], "below"), (values > edges[-1], "above")):
         if beyond.any():
@@ -318,8 +324,8 @@ def beyond_words(values: FloatArray, edges: FloatArray) -> str:
     return f"The outermost bars also hold {' and '.join(words)}." if words else ""
 
 
-def shadow_plot(catalog: Catalog) -> Markup:
-    """The Sun's elevation above which no foreign shadow reaches a patch, by azimuth."""
+def plot_shadow_limits(catalog: Catalog) -> Markup:
+    """Plot the Sun's elevation above which no foreign shadow reaches a patch, by azimuth."""
     chosen = catalog.usable if catalog.usable.any() else np.ones(len(catalog), np.bool_)
     limits = np.asarray(catalog.records["shadow_limit_deg"][chosen], np.float64)
     azimuth = np.arange(SHADOW_AZIMUTHS + 1) * 360.0 / SHADOW_AZIMUTHS
@@ -342,5 +348,5 @@ def shadow_plot(catalog: Catalog) -> Markup:
     )
 
 
-def _titles(spans: list[str], counts: IntArray, what: str) -> list[str]:
+def _list_bar_titles(spans: list[str], counts: IntArray, what: str) -> list[str]:
     return [f"{span}: {count} {what}" for span, count in zip(spans, counts.tolist(), strict=True)]

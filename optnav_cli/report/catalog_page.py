@@ -15,8 +15,8 @@ from catalog.errors import DataError
 from catalog.store.reader import Catalog
 from optnav_cli.report import catalog_maps as maps
 from optnav_cli.report import page as html
-from optnav_cli.report.body_sides import has_sides, sides_figure
-from optnav_cli.report.relief import shaded
+from optnav_cli.report.body_sides import build_sides_figure, has_sides
+from optnav_cli.report.relief import shade
 from optnav_cli.report.views import Scale
 
 SHOWN = 3  # best points, and as many of the worst
@@ -38,60 +38,65 @@ class Quantity:
     log: bool = False  # allowed, where the values span much
 
 
-def catalog_page(catalog: Catalog) -> str:
-    """The HTML page about an open catalog."""
+def build_catalog_page(catalog: Catalog) -> str:
+    """Build the HTML page about an open catalog."""
     meta = catalog.meta
-    sections = [_main_numbers(catalog), *_warnings(catalog)]
+    sections = [_list_main_numbers(catalog), *_list_warnings(catalog)]
     if len(catalog):
-        panels = maps.panels(catalog)
+        panels = maps.list_panels(catalog)
         if has_sides(catalog):
-            sections.append(_sides(catalog))
-        usable = maps.usable_map(catalog, panels, maps.latitude_plot(catalog))
-        sections.append(html.section("Usable control points", usable, _reasons(catalog)))
-        sections += [_quantity(catalog, panels, quantity) for quantity in quantities(catalog)]
-        sections += [_sources(catalog, panels), gallery(catalog)]
-    sections.append(_made_from(catalog))
-    count, levels = html.counted(len(catalog), "control point"), html.counted(meta.levels, "level")
+            sections.append(_build_sides(catalog))
+        usable = maps.draw_usable_map(catalog, panels, maps.plot_latitudes(catalog))
+        sections.append(html.section("Usable control points", usable, _count_reasons(catalog)))
+        sections += [
+            _build_quantity(catalog, panels, quantity) for quantity in list_quantities(catalog)
+        ]
+        sections += [_count_sources(catalog, panels), build_gallery(catalog)]
+    sections.append(_list_origin(catalog))
+    count, levels = (
+        html.count_things(len(catalog), "control point"),
+        html.count_things(meta.levels, "level"),
+    )
     subtitle = (
-        f"{count}, {html.grouped(int(catalog.usable.sum()))} usable; "
+        f"{count}, {html.format_count(int(catalog.usable.sum()))} usable; "
         f"{levels} of {meta.size} nodes, {meta.posting_m:.6g} m between the finest."
     )
     title = f"{meta.body.capitalize()}: catalog {catalog.path.name}"
-    return html.page(title, subtitle, filter(None, sections))
+    return html.build_page(title, subtitle, filter(None, sections))
 
 
-def quantities(catalog: Catalog) -> list[Quantity]:
-    """What is mapped and counted of a catalog, in the order of the page."""
+def list_quantities(catalog: Catalog) -> list[Quantity]:
+    """List what is mapped and counted of a catalog, in the order of the page."""
     records = catalog.records
     trials = records["trials"].astype(np.int64)
     margins, limits = records["uniqueness"], records["shadow_limit_deg"]
     # places that fail before their certificate is made have zeros in it
     certified = (trials > 0) | (margins != 0.0).any(axis=1) | (limits != 0.0).any(axis=1)
-    rate = np.where(trials > 0, _finite(records["recognition_rate"]), np.nan)
+    rate = np.where(trials > 0, _mask_infinite(records["recognition_rate"]), np.nan)
     quantities = [
         Quantity(
             "Localisation", "predicted match error, nodes",
             "Predicted match error, 1 sigma in the worst direction, in nodes of the finest level; "
             "less is better.",
-            _finite(records["localisation_nodes"]), False, ".3g", log=True,
+            _mask_infinite(records["localisation_nodes"]), False, ".3g", log=True,
         ),
         Quantity(
             "Recognition", "recognised share of the trials",
             "Share of the recognition trials (richer terrain, noise, wrong poses) that succeeded, "
             "of those that it took to decide; more is better.",
-            rate, True, ".0%", maps.rate_edges(trials),
+            rate, True, ".0%", maps.compute_rate_edges(trials),
         ),
         Quantity(
             "Uniqueness", "uniqueness margin, least of the levels",
             "How much better the true place looks than its best rival in the search region, at "
             "the level where that is least; more is better.",
-            np.where(certified, _extreme(margins, np.fmin), np.nan), True, ".3g", log=True,
+            np.where(certified, _find_extremes(margins, np.fmin), np.nan), True, ".3g", log=True,
         ),
         Quantity(
             "Shadow limits", "highest shadow limit, deg",
             "Sun elevation above which no shadow of ground outside the patch reaches it, at the "
             "azimuth where that is highest; less is better.",
-            np.where(certified, _extreme(limits, np.fmax), np.nan), False, ".1f",
+            np.where(certified, _find_extremes(limits, np.fmax), np.nan), False, ".1f",
         ),
     ]  # fmt: skip
     if catalog.meta.comparison is not None:
@@ -105,40 +110,47 @@ def quantities(catalog: Catalog) -> list[Quantity]:
     return quantities
 
 
-def _quantity(catalog: Catalog, panels: Sequence[maps.MapPanel], quantity: Quantity) -> Markup:
+def _build_quantity(
+    catalog: Catalog, panels: Sequence[maps.MapPanel], quantity: Quantity
+) -> Markup:
     values, usable = quantity.values, catalog.usable
     known = values[np.isfinite(values)]
     if known.size == 0:
         missing = f"The catalog holds no {quantity.label} of any point."
         return html.section(quantity.heading, html.paragraph(missing))
-    scale = Scale.of(known, quantity.more_is_better, quantity.log)
-    edges = maps.edges_of(scale) if quantity.edges is None else quantity.edges
+    scale = Scale.fit(known, quantity.more_is_better, quantity.log)
+    edges = maps.compute_edges(scale) if quantity.edges is None else quantity.edges
     if quantity.edges is not None:
         scale = Scale(0.0, 1.0, quantity.more_is_better)
-    whole = panels[0].view.whole
-    bars = maps.histogram(values, usable, scale, edges, quantity.heading, quantity.label, whole)
+    of_body = panels[0].view.of_body
+    bars = maps.draw_histogram(
+        values, usable, scale, edges, quantity.heading, quantity.label, of_body
+    )
     words = (
         quantity.words,
-        maps.spread_words(values, usable, quantity.form),
+        maps.describe_spread(values, usable, quantity.form),
         "Bars in colour: usable points, gray: others; the dashed line is the usable points' "
         "median.",
-        maps.beyond_words(known, edges),
+        maps.describe_values_beyond(known, edges),
     )
     caption = " ".join(filter(None, words))
-    parts = [maps.value_map(panels, values, scale, quantity.heading, bars, caption)]
+    parts = [maps.draw_value_map(panels, values, scale, quantity.heading, bars, caption)]
     if quantity.heading == "Shadow limits":
-        parts.append(maps.shadow_plot(catalog))
+        parts.append(maps.plot_shadow_limits(catalog))
     if quantity.heading == "Comparison":
-        parts.append(maps.shift_map(catalog, panels))
+        parts.append(maps.draw_shift_map(catalog, panels))
     return html.section(quantity.heading, *parts)
 
 
-def _main_numbers(catalog: Catalog) -> Markup:
+def _list_main_numbers(catalog: Catalog) -> Markup:
     meta, usable = catalog.meta, catalog.usable
     count = int(usable.sum())
     values = [
-        (html.grouped(count), "usable control points"),
-        (html.grouped(len(catalog)), f"cells with a point, of {html.grouped(catalog.grid.total)}"),
+        (html.format_count(count), "usable control points"),
+        (
+            html.format_count(len(catalog)),
+            f"cells with a point, of {html.format_count(catalog.grid.total)}",
+        ),
     ]
     if len(catalog):
         values.append((f"{count / len(catalog):.1%}", "of the points usable"))
@@ -155,70 +167,74 @@ def _main_numbers(catalog: Catalog) -> Markup:
     return html.tiles(values)
 
 
-def _warnings(catalog: Catalog) -> list[Markup]:
-    found = []
+def _list_warnings(catalog: Catalog) -> list[Markup]:
+    texts = []
     lost = catalog.meta.count - len(catalog)
     if lost:
-        found.append(
+        texts.append(
             f"{lost} of {catalog.meta.count} points are damaged and left out here; run `optnav "
             "catalog verify` and build the catalog again."
         )
     if len(catalog) == 0:
-        found.append("The catalog holds no control point: there is nothing to draw.")
+        texts.append("The catalog holds no control point: there is nothing to draw.")
     elif not catalog.usable.any():
-        found.append("The catalog has no usable point: navigation will find nothing with it.")
-    return [html.paragraph(words, "note") for words in found]
+        texts.append("The catalog has no usable point: navigation will find nothing with it.")
+    return [html.paragraph(words, "note") for words in texts]
 
 
-def _reasons(catalog: Catalog) -> Markup:
-    """Why points are not usable: how many fail each check, and how many fail it alone."""
+def _count_reasons(catalog: Catalog) -> Markup:
+    """Count why points are not usable: how many fail each check, and how many fail it alone."""
     flags = catalog.records["flags"][~catalog.usable].astype(np.int64)
     if flags.size == 0:
         return html.paragraph("All points are usable.")
     rows = []
     # a point too near to a neighbour's may be usable, so alone it explains nothing
-    firsts = np.bincount(maps.first_reasons(catalog), minlength=len(maps.REASONS) + 2)
+    firsts = np.bincount(maps.find_first_reasons(catalog), minlength=len(maps.REASONS) + 2)
     for number, flag in enumerate(maps.REASONS, start=1):
         carried = (flags & int(flag)) != 0
         alone = (flags & ~int(Flag.CROWDED)) == int(flag)
         if carried.any():
             counts = (int(carried.sum()), int(alone.sum()), int(firsts[number]))
-            share = html.percent(counts[0], len(catalog))
+            share = html.format_percent(counts[0], len(catalog))
             words = flag.label, FLAG_MEANINGS[flag]
-            rows.append((*words, html.grouped(counts[0]), share, *map(html.grouped, counts[1:])))
+            rows.append(
+                (*words, html.format_count(counts[0]), share, *map(html.format_count, counts[1:]))
+            )
     if firsts[-1]:
-        unexplained = html.grouped(int(firsts[-1]))
+        unexplained = html.format_count(int(firsts[-1]))
         rows.append((maps.NO_REASON, "", unexplained, "", "", unexplained))
     header = "not usable", "because", "points", "of all", "for this alone", "so on the map"
-    text = f"{html.counted(flags.size, 'point')} not usable; one may have several reasons."
+    text = f"{html.count_things(flags.size, 'point')} not usable; one may have several reasons."
     return html.paragraph(text) + html.table(header, rows, text_columns=2)
 
 
-def _sides(catalog: Catalog) -> Markup:
+def _build_sides(catalog: Catalog) -> Markup:
     try:
-        drawing = sides_figure(catalog)
+        drawing = build_sides_figure(catalog)
     except DataError as fault:  # damaged relief, or a machine without embree: the rest can be shown
         drawing = html.paragraph(str(fault), "note")
     return html.section("On the body", drawing)
 
 
-def _sources(catalog: Catalog, panels: Sequence[maps.MapPanel]) -> Markup:
-    """Points and usable points of each terrain model; with a map where there are several."""
+def _count_sources(catalog: Catalog, panels: Sequence[maps.MapPanel]) -> Markup:
+    """Count points and usable points of each terrain model; with a map where there are several."""
     meta = catalog.meta
     source = catalog.records["source"].astype(np.int64)
     rows = []
     for number, name in enumerate(meta.point_sources):
         here = source == number
         good, total = (int(np.count_nonzero(x)) for x in (here & catalog.usable, here))
-        share = html.percent(good, total)
-        rows.append((name or maps.NO_SOURCE, html.grouped(total), html.grouped(good), share))
+        share = html.format_percent(good, total)
+        rows.append(
+            (name or maps.NO_SOURCE, html.format_count(total), html.format_count(good), share)
+        )
     counts = html.table(("points come from", "points", "usable", "share"), rows)
     several = len(meta.point_sources) > 1
-    shown = maps.source_map(catalog, panels, counts) if several else counts
+    shown = maps.draw_source_map(catalog, panels, counts) if several else counts
     return html.section("Provenance", shown)
 
 
-def _made_from(catalog: Catalog) -> Markup:
+def _list_origin(catalog: Catalog) -> Markup:
     meta = catalog.meta
     facts = [
         ("body", f"{meta.body}, sphere of {meta.radius_m:.12g} m"),
@@ -243,18 +259,18 @@ def _made_from(catalog: Catalog) -> Markup:
     return html.section("Made from", *parts)
 
 
-def _finite(values: NDArray[np.floating[Any]]) -> FloatArray:
+def _mask_infinite(values: NDArray[np.floating[Any]]) -> FloatArray:
     return np.where(np.isfinite(values), values, np.nan).astype(np.float64)
 
 
-def _extreme(values: Float32Array, pick: np.ufunc) -> FloatArray:
-    """The least or highest known value of each row (n, m), NaN where none is known."""
-    extremes: FloatArray = pick.reduce(_finite(values), axis=1)
+def _find_extremes(values: Float32Array, pick: np.ufunc) -> FloatArray:
+    """Find the least or highest known value of each row (n, m), NaN where none is known."""
+    extremes: FloatArray = pick.reduce(_mask_infinite(values), axis=1)
     return extremes
 
 
-def gallery(catalog: Catalog) -> Markup:
-    """Chosen points with all their levels; "" for a catalog without points."""
+def build_gallery(catalog: Catalog) -> Markup:
+    """Build examples of points with all their levels; "" for a catalog without points."""
     scores = np.asarray(catalog.records["localisation_nodes"], np.float64)
     rows = np.flatnonzero(catalog.usable & np.isfinite(scores))
     order = rows[np.argsort(scores[rows], kind="stable")]
@@ -267,7 +283,7 @@ def gallery(catalog: Catalog) -> Markup:
             "are ranked by their predicted match error."
         )
     ]
-    kinds = maps.first_reasons(catalog)
+    kinds = maps.find_first_reasons(catalog)
     groups = [("Best", best.tolist()), ("Worst usable", worst.tolist())]
     for number, flag in enumerate(maps.REASONS, start=1):
         there = np.flatnonzero(kinds == number).tolist()
@@ -275,11 +291,11 @@ def gallery(catalog: Catalog) -> Markup:
         groups.append((f"Not usable: {flag.label}", there[len(there) // 2 :][:1]))
     for heading, chosen in groups:
         if chosen:
-            parts.append(html.subsection(heading, *(_point(catalog, row) for row in chosen)))
+            parts.append(html.subsection(heading, *(_build_point(catalog, row) for row in chosen)))
     return html.section("Examples", *parts) if len(parts) > 1 else Markup()
 
 
-def _point(catalog: Catalog, row: int) -> Markup:
+def _build_point(catalog: Catalog, row: int) -> Markup:
     record, point = catalog.records[row], int(catalog.ids[row])
     tried, rate = int(record["trials"]), 100.0 * record["recognition_rate"]
     error = float(record["localisation_nodes"])
@@ -294,35 +310,38 @@ def _point(catalog: Catalog, row: int) -> Markup:
         return html.paragraph(str(fault), "note")
     if not levels:
         return html.paragraph(f"{'; '.join(words)}. No heights are kept for it.")
-    pictures = [_level(levels[k], k, point) for k in range(len(levels))]
+    pictures = [_build_level(levels[k], k, point) for k in range(len(levels))]
     return html.figure(html.side_by_side("patches", pictures), "; ".join(words))
 
 
-def _level(patch: Patch, number: int, point: int) -> Markup:
+def _build_level(patch: Patch, number: int, point: int) -> Markup:
     width_km = patch.posting_m * patch.size / 1e3
     known = patch.heights_m[np.isfinite(patch.heights_m)]
     relief = f"{float(np.ptp(known)):.0f} m of relief" if known.size else "no data"
-    words = f"{_short(patch.posting_m)} m a node, {_short(width_km)} km wide, {relief}"
+    words = (
+        f"{_format_short(patch.posting_m)} m a node, {_format_short(width_km)} km wide, {relief}"
+    )
     picture = html.image(
-        html.data_uri(coloured(patch)), f"heights about point {point}, level {number}"
+        html.encode_picture_uri(colour_heights(patch)),
+        f"heights about point {point}, level {number}",
     )
     return html.captioned(picture, words, "box inner" if number else "box")
 
 
-def _short(value: float) -> str:
-    """Three digits at least, and never a power of ten."""
+def _format_short(value: float) -> str:
+    """Format three digits at least, and never a power of ten."""
     return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
-def coloured(patch: Patch) -> ByteArray:
-    """A patch's heights by colour (cividis) with relief shading, nodes enlarged."""
+def colour_heights(patch: Patch) -> ByteArray:
+    """Colour a patch's heights (cividis) with relief shading, nodes enlarged."""
     heights = patch.heights_m
     known = np.isfinite(heights)
     low, high = (float(f(heights[known])) for f in (np.min, np.max)) if known.any() else (0.0, 1.0)
     share = (np.where(known, heights, low) - low) / max(high - low, 1e-6)
     levels = np.rint(255.0 * share).astype(np.uint8)
     tint = cv2.applyColorMap(levels, cv2.COLORMAP_CIVIDIS).astype(np.float32)
-    light = shaded(heights, patch.posting_m).astype(np.float32) / 150.0
+    light = shade(heights, patch.posting_m).astype(np.float32) / 150.0
     picture = np.clip(tint * light[..., None], 0.0, 255.0).astype(np.uint8)
     picture[~known] = NO_DATA_BGR
     factor = max(1, round(SIDE_PX / patch.size))

@@ -19,8 +19,8 @@ from optnav_cli.evaluation.figures import method_rank, method_words
 from optnav_cli.evaluation.files import EVALUATION_CSV, ErrorRow, read_error_rows, stated_rows
 from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.report.page import figure, side_by_side
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet
-from optnav_cli.report.svg import MOST, NARROW, WIDE, Plot, PlotAxis, key_mark, span
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
+from optnav_cli.report.svg import MOST, NARROW, WIDE, Plot, PlotAxis, draw_key_mark, find_span
 
 SIGNS = {
     "brightness_centre": ("s3", "diamond"),
@@ -68,17 +68,17 @@ class Frames:
     @property
     def series(self) -> list[tuple[str, str]]:
         """Methods and cameras of the solved frames, from afar to near."""
-        found = {(row.method, row.camera) for row in self.rows if row.solved}
-        return sorted(found, key=lambda key: (*method_rank(key[0]), key[1]))
+        keys = {(row.method, row.camera) for row in self.rows if row.solved}
+        return sorted(keys, key=lambda key: (*method_rank(key[0]), key[1]))
 
-    def of(self, method: str, camera: str) -> IndexArray:
-        """Places of a series' solved frames."""
+    def select(self, method: str, camera: str) -> IndexArray:
+        """Select a series' solved frames, by index."""
         key = (True, method, camera)
         same = [(row.solved, row.method, row.camera) == key for row in self.rows]
         return np.flatnonzero(same)
 
-    def sign(self, method: str, camera: str) -> tuple[str, str]:
-        """Series and shape of a method's marks, hollow for the wider cameras."""
+    def choose_sign(self, method: str, camera: str) -> tuple[str, str]:
+        """Choose series and shape of a method's marks, hollow for the wider cameras."""
         series, shape = SIGNS.get(method, OTHER_SIGN)
         return (f"{series} hollow" if camera in self.wide else series), shape
 
@@ -88,12 +88,12 @@ class Frames:
         heights = np.array([row.height_m or np.nan for row in self.rows]) / 1e3
         return np.where(heights > 0.0, heights, np.nan)
 
-    def stretches(self) -> list[tuple[str, IndexArray]]:
-        """Series and places of frames that follow one another in a camera by the same method.
+    def list_stretches(self) -> list[tuple[str, IndexArray]]:
+        """List series and indices of frames that follow one another in a camera by one method.
 
         None is farther from the one before it than MAX_GAP_S.
         """
-        found = []
+        stretches = []
         for camera in sorted({row.camera for row in self.rows}):
             places = np.array([i for i, row in enumerate(self.rows) if row.camera == camera])
             passes = np.cumsum(is_apart(self.time_s[places]))
@@ -101,18 +101,18 @@ class Frames:
             for kind, run in groupby(range(len(places)), kinds.__getitem__):
                 if kind[0]:
                     series, _ = SIGNS.get(kind[1], OTHER_SIGN)
-                    found.append((series, places[list(run)]))
-        return found
+                    stretches.append((series, places[list(run)]))
+        return stretches
 
 
-def frames_of(run: RunFolder, stated: bool = False) -> Frames:
-    """What is drawn of a run. Raises DataError for a damaged evaluation.
+def collect_frames(run: RunFolder, stated: bool = False) -> Frames:
+    """Collect what is drawn of a run. Raises DataError for a damaged evaluation.
 
     stated  whether to draw what the solutions state even where the run was compared with a truth
     """
     path = run.path / EVALUATION_CSV
     rows = read_error_rows(path) if path.exists() and not stated else stated_rows(run)
-    rows, x, time_s, x_label = _in_time(rows)
+    rows, x, time_s, x_label = _order_by_time(rows)
     none = np.full(3, np.nan)
     error = np.array([none if row.error_rnb_m is None else row.error_rnb_m for row in rows])
     sigma = np.array([none if row.sigma_rnb_m is None else row.sigma_rnb_m for row in rows])
@@ -125,8 +125,8 @@ def frames_of(run: RunFolder, stated: bool = False) -> Frames:
     return Frames(rows, x, time_s, x_label, error, sigma, wide)
 
 
-def time_of(utc: str) -> float:
-    """Seconds of a frame's time; NaN where it is not understood."""
+def parse_time(utc: str) -> float:
+    """Parse a frame's time to seconds; NaN where it is not understood."""
     try:
         return utc_to_tdb_s(utc)
     except DataError:
@@ -139,10 +139,10 @@ def is_apart(time_s: FloatArray) -> BoolArray:
     return apart
 
 
-def _in_time(rows: list[ErrorRow]) -> tuple[list[ErrorRow], FloatArray, FloatArray, str]:
-    """Rows, what they are drawn against (time, or their number when gaps are uneven), times."""
+def _order_by_time(rows: list[ErrorRow]) -> tuple[list[ErrorRow], FloatArray, FloatArray, str]:
+    """Order rows by time; return their axis (time, or number when gaps are uneven) and times."""
     number = np.arange(1.0, len(rows) + 1.0)
-    seconds = np.array([time_of(row.utc) for row in rows])
+    seconds = np.array([parse_time(row.utc) for row in rows])
     if not np.isfinite(seconds).all():
         return rows, number, seconds, "frame"
     order = np.argsort(seconds, kind="stable")
@@ -155,45 +155,45 @@ def _in_time(rows: list[ErrorRow]) -> tuple[list[ErrorRow], FloatArray, FloatArr
     return rows, minutes / unit, seconds, f"{name} after {rows[0].utc}"
 
 
-def error_plots(run: RunFolder, stated: bool = False) -> list[Markup]:
-    """Figures of a run with a solved frame; without a truth, of what its solutions state.
+def plot_errors(run: RunFolder, stated: bool = False) -> list[Markup]:
+    """Plot a run with a solved frame; without a truth, what its solutions state.
 
     Raises and `stated` as for `frames_of`.
     """
-    frames = frames_of(run, stated)
-    keys = Markup().join(key_mark(e.series, e.shape, e.words) for e in _legend(frames))
+    frames = collect_frames(run, stated)
+    keys = Markup().join(draw_key_mark(e.series, e.shape, e.words) for e in _list_legend(frames))
     figures = []
-    both = zip(_drawn(frames, WIDE), _drawn(frames, NARROW), strict=True)
+    both = zip(_plot_panels(frames, WIDE), _plot_panels(frames, NARROW), strict=True)
     for number, ((wide, caption), (narrow, _)) in enumerate(both):
         drawings = [
             side_by_side(kind, [panel.plot.svg(panel.description) for panel in panels])
             for kind, panels in (("wider", wide), ("narrow", narrow))
         ]
-        more = "" if number else _reasons(frames)
+        more = "" if number else _describe_reasons(frames)
         figures.append(figure(Markup().join(drawings), caption + more, None, keys))
     return figures
 
 
-def error_sheet(run: RunFolder) -> str:
-    """The same as one picture (SVG) that stands alone."""
-    frames = frames_of(run)
+def draw_error_sheet(run: RunFolder) -> str:
+    """Draw the plots as one picture (SVG) that stands alone."""
+    frames = collect_frames(run)
     compared = "solution minus truth" if frames.compared else "stated sigmas"
     title = f"{run.attitude.body.name.capitalize()}, run {run.path.resolve().name}: {compared}"
-    rows = [[panel] for panels, _ in _drawn(frames, WIDE) for panel in panels]
-    return sheet(title, _legend(frames), rows)
+    rows = [[panel] for panels, _ in _plot_panels(frames, WIDE) for panel in panels]
+    return draw_sheet(title, _list_legend(frames), rows)
 
 
-def _drawn(frames: Frames, width: int) -> list[tuple[list[Panel], str]]:
-    """Panels with their captions: over time, and over the height where it changes much."""
-    drawn = [_over_time(frames, width)]
+def _plot_panels(frames: Frames, width: int) -> list[tuple[list[Panel], str]]:
+    """Plot panels with their captions: over time, and over the height where it changes much."""
+    drawn = [_plot_over_time(frames, width)]
     heights = frames.heights_km[np.isfinite(frames.heights_km)]
     if heights.size and heights.max() > FAR * heights.min():
-        drawn.append(_over_distance(frames, width))
+        drawn.append(_plot_over_distance(frames, width))
     return drawn
 
 
-def _over_time(frames: Frames, width: int) -> tuple[list[Panel], str]:
-    """Panels of R, N, B, and what they show."""
+def _plot_over_time(frames: Frames, width: int) -> tuple[list[Panel], str]:
+    """Plot R, N, B over time, with a caption."""
     shown = frames.error if frames.compared else frames.sigma
     bound = 3.0 * frames.sigma if frames.compared else frames.sigma
     sizes = np.abs(bound[np.isfinite(bound)])
@@ -206,7 +206,7 @@ def _over_time(frames: Frames, width: int) -> tuple[list[Panel], str]:
         size = f"|{letter}|" if log else letter
         label = f"{size}, {name}" if frames.compared else f"sigma {letter}, {name}"
         x_label = frames.x_label if axis == 2 else ""
-        plot = _time_plot(frames, values, band, (x_label, label), log, width)
+        plot = _plot_axis_over_time(frames, values, band, (x_label, label), log, width)
         what = "Error" if frames.compared else "Stated sigma"
         words = f"{what} along {letter} ({words}) of each frame, {name}"
         panels.append(Panel("", plot, words))
@@ -217,7 +217,7 @@ def _over_time(frames: Frames, width: int) -> tuple[list[Panel], str]:
     return panels, caption
 
 
-def _time_plot(
+def _plot_axis_over_time(
     frames: Frames,
     values: FloatArray,
     band: FloatArray,
@@ -227,14 +227,14 @@ def _time_plot(
 ) -> Plot:
     sizes, outside = np.abs(values), np.abs(values) > band
     if log:
-        y = _log_range(sizes, band)
-        values, low, high = _log(sizes, y), np.full(len(band), y[0]), _log(band, y)
+        y = _find_log_range(sizes, band)
+        values, low, high = _take_log(sizes, y), np.full(len(band), y[0]), _take_log(band, y)
     else:
         low, high = -band, band
-        y = span(np.concatenate([values, high, low if frames.compared else np.zeros(1)]), 0.08)
-    x_axis = PlotAxis(span(frames.x, 0.03), labels[0])
+        y = find_span(np.concatenate([values, high, low if frames.compared else np.zeros(1)]), 0.08)
+    x_axis = PlotAxis(find_span(frames.x, 0.03), labels[0])
     plot = Plot(x_axis, PlotAxis(y, labels[1], log), width=width, height=230 if log else 200)
-    for series, places in frames.stretches() if frames.compared else ():
+    for series, places in frames.list_stretches() if frames.compared else ():
         x, bottom, top = frames.x[places], low[places], high[places]
         if len(places) > 1:
             plot.band(x, bottom, top, series)
@@ -246,12 +246,12 @@ def _time_plot(
             plot.line(np.repeat(x, 2), np.concatenate([bottom, top]), f"{series} thin")
     if frames.compared and not log:
         plot.level(0.0)
-    _marks(plot, frames, frames.x, values, outside)
+    _draw_marks(plot, frames, frames.x, values, outside)
     return plot
 
 
-def _over_distance(frames: Frames, width: int) -> tuple[list[Panel], str]:
-    """Panels of range (percent of the height) and direction over the height, and what they show."""
+def _plot_over_distance(frames: Frames, width: int) -> tuple[list[Panel], str]:
+    """Plot range (percent of the height) and direction over the height, with a caption."""
     rows = frames.rows
     x = np.log10(frames.heights_km)
     panels = []
@@ -264,16 +264,18 @@ def _over_distance(frames: Frames, width: int) -> tuple[list[Panel], str]:
         error, stated = np.array(pairs, dtype=np.float64).T / unit
         bound = 3.0 * stated if frames.compared else stated
         values = np.abs(error) if frames.compared else stated
-        y = _log_range(values, bound)
+        y = _find_log_range(values, bound)
         last = label.startswith("direction")
-        x_axis = PlotAxis(span(x, 0.03), "height above the surface, km" if last else "", log=True)
+        x_axis = PlotAxis(
+            find_span(x, 0.03), "height above the surface, km" if last else "", log=True
+        )
         plot = Plot(x_axis, PlotAxis(y, label, log=True), width=width, height=260)
         if frames.compared:
             for method, camera in frames.series:
                 series, _ = SIGNS.get(method, OTHER_SIGN)
-                places = frames.of(method, camera)
-                plot.marks(x[places], _log(bound[places], y), series, "dash")
-        _marks(plot, frames, x, _log(values, y), values > bound)
+                places = frames.select(method, camera)
+                plot.marks(x[places], _take_log(bound[places], y), series, "dash")
+        _draw_marks(plot, frames, x, _take_log(values, y), values > bound)
         what = "Error" if frames.compared else "Stated sigma"
         panels.append(Panel("", plot, f"{what} of the {words} of each frame over the height"))
     caption = "Errors of range and direction over the height; dashes are 3 stated sigmas."
@@ -282,11 +284,13 @@ def _over_distance(frames: Frames, width: int) -> tuple[list[Panel], str]:
     return panels, caption
 
 
-def _marks(plot: Plot, frames: Frames, x: FloatArray, y: FloatArray, outside: BoolArray) -> None:
-    """Solved frames, and crosses at the foot for the others, with names under the pointer."""
+def _draw_marks(
+    plot: Plot, frames: Frames, x: FloatArray, y: FloatArray, outside: BoolArray
+) -> None:
+    """Draw solved frames, and crosses at the foot for the others, with names under the pointer."""
     for method, camera in frames.series:
-        series, shape = frames.sign(method, camera)
-        places = frames.of(method, camera)
+        series, shape = frames.choose_sign(method, camera)
+        places = frames.select(method, camera)
         titles = [f"{frames.rows[i].file}, {method_words(method)}" for i in places]
         plot.marks(x[places], y[places], series, shape, titles=titles)
         far = places[outside[places]] if frames.compared else places[:0]
@@ -298,13 +302,13 @@ def _marks(plot: Plot, frames: Frames, x: FloatArray, y: FloatArray, outside: Bo
     plot.marks(x[unsolved], foot, "muted", "cross", 3.6, titles)
 
 
-def _legend(frames: Frames) -> list[LegendEntry]:
+def _list_legend(frames: Frames) -> list[LegendEntry]:
     entries = []
     for method, camera in frames.series:
-        series, shape = frames.sign(method, camera)
+        series, shape = frames.choose_sign(method, camera)
         of_camera = sum(row.camera == camera for row in frames.rows)
         name = method_words(method) + (f", {camera}" if camera else "")
-        words = f"{name}: {len(frames.of(method, camera))} of {of_camera}"
+        words = f"{name}: {len(frames.select(method, camera))} of {of_camera}"
         entries.append(LegendEntry(series, words, shape, line=False))
     if (np.abs(frames.error) > 3.0 * frames.sigma).any():
         entries.append(LegendEntry("s4", "outside 3 stated sigmas", "circle", line=False))
@@ -314,8 +318,8 @@ def _legend(frames: Frames) -> list[LegendEntry]:
     return entries
 
 
-def _reasons(frames: Frames) -> str:
-    """Why frames are unsolved, the most frequent reasons."""
+def _describe_reasons(frames: Frames) -> str:
+    """Describe why frames are unsolved, the most frequent reasons."""
     reasons = Counter(row.reason.code.label for row in frames.rows if not row.solved)
     if not reasons:
         return ""
@@ -324,8 +328,8 @@ def _reasons(frames: Frames) -> str:
     return f" Unsolved: {named}{more}."
 
 
-def _log_range(sizes: FloatArray, bound: FloatArray) -> tuple[float, float]:
-    """Logarithms of whole powers of ten about sizes and bounds, but not about the least sizes."""
+def _find_log_range(sizes: FloatArray, bound: FloatArray) -> tuple[float, float]:
+    """Find logarithms of whole powers of ten about sizes and bounds, but not about least sizes."""
     known = np.concatenate([sizes, bound])
     known = known[np.isfinite(known) & (known > 0.0)]
     least = bound[np.isfinite(bound) & (bound > 0.0)]
@@ -336,7 +340,7 @@ def _log_range(sizes: FloatArray, bound: FloatArray) -> tuple[float, float]:
     return min(low, high - 1.0), high
 
 
-def _log(sizes: FloatArray, y: tuple[float, float]) -> FloatArray:
-    """Logarithms; what is smaller than the range stands at its foot."""
+def _take_log(sizes: FloatArray, y: tuple[float, float]) -> FloatArray:
+    """Take logarithms; what is smaller than the range stands at its foot."""
     with np.errstate(divide="ignore"):
         return np.maximum(np.log10(sizes), y[0])

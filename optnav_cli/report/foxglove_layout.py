@@ -46,14 +46,14 @@ def write_layout(source: Path, output: Path) -> None:
     run = read_run(source)
     if not run.cameras:
         raise DataError(f"{source}: holds no camera files, so there is nothing to lay out")
-    laid_out = layout(run, recorded_topics(source / RECORDING))
+    laid_out = build_layout(run, read_recorded_topics(source / RECORDING))
     text = json.dumps(laid_out, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing_file(output, starts_with(BEGINNING)) as path:
         path.write_text(text, encoding="utf-8")
 
 
-def recorded_topics(recording: Path) -> frozenset[str] | None:
-    """The topics of a recording; None where it is not there or cannot be read."""
+def read_recorded_topics(recording: Path) -> frozenset[str] | None:
+    """Read the topics of a recording; None where it is not there or cannot be read."""
     if not recording.is_file():  # nor a pipe, which would never end
         return None
     try:
@@ -66,40 +66,43 @@ def recorded_topics(recording: Path) -> frozenset[str] | None:
     return frozenset(channel.topic for channel in summary.channels.values()) if summary else None
 
 
-def layout(run: RunFolder, recorded: frozenset[str] | None = None) -> Panel:
-    """The layout of a run with a camera, of what is recorded; None: of all that runs record."""
+def build_layout(run: RunFolder, recorded: frozenset[str] | None = None) -> Panel:
+    """Build the layout of a run with a camera, of recorded topics; None: of all topics."""
     cameras = sorted({camera.name for camera in run.cameras.values()})
 
-    def having(what: str) -> list[str]:
+    def list_recorded(what: str) -> list[str]:
         return [
             name for name in cameras if recorded is None or format_topic(name, what) in recorded
         ]
 
-    pictures = {f"Image!{number}": _picture(name) for number, name in enumerate(having("image"))}
-    solved = having("solution")
-    plots = {f"Plot!{name}": _plot(solved, *PLOTS[name]) for name in PLOTS if solved}
-    scene = _scene(run, cameras)
+    pictures = {
+        f"Image!{number}": _build_picture(name)
+        for number, name in enumerate(list_recorded("image"))
+    }
+    solved = list_recorded("solution")
+    plots = {f"Plot!{name}": _build_plot(solved, *PLOTS[name]) for name in PLOTS if solved}
+    scene = _build_scene(run, cameras)
     if recorded is not None:
         scene["topics"] = {
             name: shown for name, shown in scene["topics"].items() if name in recorded
         }
     panels = {THREE: scene, **pictures, **plots}
     panels[LOG] = {"searchTerms": [], "minLogLevel": 1, "topicToRender": "/log"}
-    above = _split(THREE, _stacked(list(pictures)), "row", 55) if pictures else THREE
-    below = _split(_stacked(list(plots), "row"), LOG, "row", 75) if plots else LOG
+    above = _build_split(THREE, _stack_panels(list(pictures)), "row", 55) if pictures else THREE
+    below = _build_split(_stack_panels(list(plots), "row"), LOG, "row", 75) if plots else LOG
     return {
         "configById": panels,
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1.0},
-        "layout": _split(above, below, "column", 62),
+        "layout": _build_split(above, below, "column", 62),
     }
 
 
-def _scene(run: RunFolder, cameras: list[str]) -> Panel:
+def _build_scene(run: RunFolder, cameras: list[str]) -> Panel:
     body, radius = run.attitude.body.name, run.attitude.body.radius_m
     known = [s.position_m for s in run.solutions if s.position_m is not None]
-    distances = [math.hypot(*place) for place in known]
+    distances = [math.hypot(*position) for position in known]
     farthest = max(float(max(distances, default=0.0)), radius)
     height = max(float(np.median(distances)) - radius, 1e-3 * radius) if distances else radius
     size = AXES_SHARE * min(height, 2.0 * radius)
@@ -142,7 +145,7 @@ def _scene(run: RunFolder, cameras: list[str]) -> Panel:
     }
 
 
-def _picture(camera: str) -> Panel:
+def _build_picture(camera: str) -> Panel:
     return {
         "foxglovePanelTitle": camera,
         "imageMode": {
@@ -154,7 +157,7 @@ def _picture(camera: str) -> Panel:
     }
 
 
-def _plot(cameras: list[str], label: str, fields: tuple[str, ...]) -> Panel:
+def _build_plot(cameras: list[str], label: str, fields: tuple[str, ...]) -> Panel:
     paths = []
     for camera in cameras:
         topic = format_topic(camera, "solution")
@@ -184,7 +187,7 @@ def _plot(cameras: list[str], label: str, fields: tuple[str, ...]) -> Panel:
     }
 
 
-def _split(first: Any, second: Any, direction: str, percentage: float) -> Panel:
+def _build_split(first: Any, second: Any, direction: str, percentage: float) -> Panel:
     return {
         "first": first,
         "second": second,
@@ -193,9 +196,9 @@ def _split(first: Any, second: Any, direction: str, percentage: float) -> Panel:
     }
 
 
-def _stacked(panels: list[str], direction: str = "column") -> Any:
-    """Panels beside one another, each as large as the others."""
+def _stack_panels(panels: list[str], direction: str = "column") -> Any:
+    """Stack panels beside one another, each as large as the others."""
     if len(panels) == 1:
         return panels[0]
-    rest = _stacked(panels[1:], direction)
-    return _split(panels[0], rest, direction, 100.0 / len(panels))
+    remaining = _stack_panels(panels[1:], direction)
+    return _build_split(panels[0], remaining, direction, 100.0 / len(panels))

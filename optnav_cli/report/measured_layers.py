@@ -56,15 +56,15 @@ def export_stars(run: Path, path: Path) -> dict[str, int]:
 
     Raises DataError for a damaged run, OutputError for another ending or a file of other contents.
     """
-    return _written(path, BORESIGHTS, GEOGRAPHIC, lambda: _boresights(run))
+    return _write_layer(path, BORESIGHTS, GEOGRAPHIC, lambda: _list_boresights(run))
 
 
 def export_cylinder(run: Path, path: Path) -> dict[str, int]:
     """Write the camera's places of a run of `cylinder`; as `export_stars`."""
-    return _written(path, PLACES, CARTESIAN, lambda: _places(run))
+    return _write_layer(path, PLACES, CARTESIAN, lambda: _list_places(run))
 
 
-def _written(
+def _write_layer(
     path: Path, layer: FeatureLayer, srs_id: int, make: Callable[[], Iterator[Feature]]
 ) -> dict[str, int]:
     if path.suffix.lower() != ENDING:
@@ -81,7 +81,7 @@ def _written(
     return {layer.name: len(features)}
 
 
-def _boresights(run: Path) -> Iterator[Feature]:
+def _list_boresights(run: Path) -> Iterator[Feature]:
     for number, row in enumerate(ATTITUDES.rows(run / "attitudes.csv"), start=1):
         head = tuple(row[name] for name in ("file", "utc", "status", "reason"))
         quaternion = row.vector(QUATERNION)
@@ -96,11 +96,11 @@ def _boresights(run: Path) -> Iterator[Feature]:
         across = [row.number(f"sigma_{axis}_arcsec") for axis in "xy"]
         worst = None if None in across else max(value for value in across if value is not None)
         cells = (ra, dec, worst, row.number("sigma_z_arcsec"), row.count("n_used"))
-        place = point_geometry(ra, dec, GEOGRAPHIC)
-        yield (number, place, *head, *cells, row.number("residual_rms_px")), (ra, dec, ra, dec)
+        geometry = point_geometry(ra, dec, GEOGRAPHIC)
+        yield (number, geometry, *head, *cells, row.number("residual_rms_px")), (ra, dec, ra, dec)
 
 
-def _places(run: Path) -> Iterator[Feature]:
+def _list_places(run: Path) -> Iterator[Feature]:
     inputs = read_manifest(run).get("inputs")
     radius = inputs.get("radius_m") if isinstance(inputs, dict) else None
     if not isinstance(radius, int | float):
@@ -113,6 +113,6 @@ def _places(run: Path) -> Iterator[Feature]:
         if distance is None or theta is None:
             yield (number, None, *head, *cells), None
             continue
-        turn, away = np.radians(theta), radius + distance
-        x, y = float(away * np.sin(turn)), float(away * np.cos(turn))
+        turn, from_axis = np.radians(theta), radius + distance
+        x, y = float(from_axis * np.sin(turn)), float(from_axis * np.cos(turn))
         yield (number, point_geometry(x, y, CARTESIAN), *head, *cells), (x, y, x, y)

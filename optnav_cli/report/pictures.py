@@ -23,42 +23,42 @@ MAX_OVERLAY_PX = 4 * MAX_PX  # an overlay of more pixels a side is none of ours
 PNG_HEADER = b"\x89PNG\r\n\x1a\n"
 
 
-def pictures_section(run: RunFolder) -> Markup:
-    """Overlays evenly through the run; a note where some are missing or damaged."""
+def build_pictures(run: RunFolder) -> Markup:
+    """Build overlays evenly through the run; a note where some are missing or damaged."""
     names = [solution.file for solution in run.solutions]
-    there = _there(run.path / OVERLAYS, names)
+    there = _list_existing(run.path / OVERLAYS, names)
     if not there:
         return Markup()
-    parts = [html.anchor("pictures"), html.paragraph(_words(run, len(there)))]
-    shown, damaged = overlays(run.path / OVERLAYS, names)
+    parts = [html.anchor("pictures"), html.paragraph(_describe_pictures(run, len(there)))]
+    shown, damaged = list_overlays(run.path / OVERLAYS, names)
     if damaged:
         parts.append(html.paragraph(damaged, "note"))
     return html.section("Pictures", *parts, shown)
 
 
-def overlays(folder: Path, names: Sequence[str]) -> tuple[Markup, str]:
-    """Overlays of files evenly through them, side by side, and a note on those that are damaged."""
-    there = _there(folder, names)
+def list_overlays(folder: Path, names: Sequence[str]) -> tuple[Markup, str]:
+    """List overlays of files, evenly through them, with a note on those that are damaged."""
+    there = _list_existing(folder, names)
     number = min(len(there), MAX_PICTURES)
     picked = [there[k] for k in np.linspace(0, len(there) - 1, number).round().astype(int)]
-    read = {file: _overlay(overlay_path(folder, file)) for file in picked}
+    read = {file: _read_overlay(overlay_path(folder, file)) for file in picked}
     pictures = {file: picture for file, picture in read.items() if picture is not None}
     shown = [
-        html.enlarged(f"picture{k}", html.uri_of(data, "jpeg"), f"overlay of {file}", file)
-        for k, (file, data) in enumerate(_shrunk(pictures).items())
+        html.enlarged(f"picture{k}", html.encode_uri(data, "jpeg"), f"overlay of {file}", file)
+        for k, (file, data) in enumerate(_shrink(pictures).items())
     ]
     damaged = [file for file, picture in read.items() if picture is None]
-    words = f"{html.counted(len(damaged), 'overlay')} cannot be read: {', '.join(damaged)}."
+    words = f"{html.count_things(len(damaged), 'overlay')} cannot be read: {', '.join(damaged)}."
     return html.side_by_side("thumbs", shown), words if damaged else ""
 
 
-def _there(folder: Path, names: Sequence[str]) -> list[str]:
-    """Files that have an overlay."""
+def _list_existing(folder: Path, names: Sequence[str]) -> list[str]:
+    """List files that have an overlay."""
     return [file for file in dict.fromkeys(names) if overlay_path(folder, file).is_file()]
 
 
-def _words(run: RunFolder, there: int) -> str:
-    """What the pictures show, and how many of them there are."""
+def _describe_pictures(run: RunFolder, there: int) -> str:
+    """Describe what the pictures show, and how many of them there are."""
     what = []
     if run.matches:
         what.append("control points where the prior (pink) and the solution (blue) predict them")
@@ -70,8 +70,8 @@ def _words(run: RunFolder, there: int) -> str:
     return f"{shown[:1].upper()}{shown[1:]}A click enlarges a picture.{some}"
 
 
-def _overlay(path: Path) -> ByteArray | None:
-    """An overlay; None for a file that is no picture, or a larger one than we write."""
+def _read_overlay(path: Path) -> ByteArray | None:
+    """Read an overlay; None for a file that is no picture, or a larger one than we write."""
     try:
         data = read_input(path, "picture")
     except DataError:
@@ -84,17 +84,17 @@ def _overlay(path: Path) -> ByteArray | None:
     return None if picture is None else np.asarray(picture, np.uint8)
 
 
-def _shrunk(pictures: dict[str, ByteArray]) -> dict[str, bytes]:
-    """Pictures as JPEG; all are made smaller where they would take too much room."""
+def _shrink(pictures: dict[str, ByteArray]) -> dict[str, bytes]:
+    """Shrink pictures to JPEG; smaller still where they would take too much room."""
     longest = MAX_PX
     while True:
-        data = {file: _jpeg(picture, longest) for file, picture in pictures.items()}
+        data = {file: _encode_jpeg(picture, longest) for file, picture in pictures.items()}
         if longest <= MIN_PX or sum(map(len, data.values())) <= MAX_BYTES:
             return data
         longest = max(MIN_PX, round(0.8 * longest))
 
 
-def _jpeg(picture: ByteArray, longest_px: int) -> bytes:
+def _encode_jpeg(picture: ByteArray, longest_px: int) -> bytes:
     height, width = picture.shape[:2]
     small = resize_picture(picture, compute_shrink_factor(width, height, longest_px))
     return encode_picture(small, ".jpg", QUALITY)

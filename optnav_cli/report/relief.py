@@ -31,51 +31,51 @@ STEEP = 0.55  # of the shading, for the slope that one pixel in ten exceeds
 GRAY, DEPTH = 150.0, 95.0  # level ground, and how much light and shade differ from it
 
 
-def relief(
+def find_relief(
     catalog: Catalog, lat_deg: FloatArray, lon_deg: FloatArray
 ) -> tuple[ByteArray, BoolArray, str] | None:
-    """Gray picture (h, w) of the ground under a map's pixels, lit from the map's upper left.
+    """Find a gray picture (h, w) of the ground under a map's pixels, lit from the upper left.
 
     lat_deg, lon_deg  (h, w)  places of the pixels, not finite off the body
 
     Returns the picture, where its ground is known (h, w), and whose heights they are; None where
     the catalog holds too little ground and its body is not the Moon.
     """
-    bundled = bundled_relief(catalog.meta.body, catalog.meta.radius_m, lat_deg, lon_deg)
+    bundled = find_bundled_relief(catalog.meta.body, catalog.meta.radius_m, lat_deg, lon_deg)
     if bundled is not None:
         return bundled
-    pixel_m = _pixel_m(lat_deg, lon_deg, catalog.meta.radius_m)
+    pixel_m = _compute_pixel_m(lat_deg, lon_deg, catalog.meta.radius_m)
     # heights above tangent planes are no map's: a small body is drawn by its whole relief
     if catalog.meta.planes is not None:
-        own = _whole_heights(catalog, lat_deg, lon_deg)
+        heights = _sample_body(catalog, lat_deg, lon_deg)
     else:
-        own = _own_heights(catalog, lat_deg, lon_deg, pixel_m)
-    if own is None:
+        heights = _sample_patches(catalog, lat_deg, lon_deg, pixel_m)
+    if heights is None:
         return None
-    return shaded(own, pixel_m), np.isfinite(own), OWN_WORDS
+    return shade(heights, pixel_m), np.isfinite(heights), OWN_WORDS
 
 
-def bundled_relief(
+def find_bundled_relief(
     body: str, radius_m: float, lat_deg: FloatArray, lon_deg: FloatArray
 ) -> tuple[ByteArray, BoolArray, str] | None:
-    """The same of the bundled Moon; None for another body and where it would look blurred."""
-    pixel_m = _pixel_m(lat_deg, lon_deg, radius_m)
+    """Find the bundled Moon's relief; None for another body and where it would look blurred."""
+    pixel_m = _compute_pixel_m(lat_deg, lon_deg, radius_m)
     if body != "moon" or radius_m != MOON_RADIUS_M or pixel_m < MIN_MOON_PIXEL_M:
         return None
-    heights = _moon_heights(lat_deg, lon_deg)
-    return shaded(heights, pixel_m), np.isfinite(heights), MOON_WORDS
+    heights = _sample_moon(lat_deg, lon_deg)
+    return shade(heights, pixel_m), np.isfinite(heights), MOON_WORDS
 
 
-def _pixel_m(lat_deg: FloatArray, lon_deg: FloatArray, radius_m: float) -> float:
-    """Size of the pixel in the middle of a map."""
+def _compute_pixel_m(lat_deg: FloatArray, lon_deg: FloatArray, radius_m: float) -> float:
+    """Compute the size of the pixel in the middle of a map."""
     row, column = (side // 2 for side in lat_deg.shape)
     lat, lon = (np.radians(v[row, column : column + 2]) for v in (lat_deg, lon_deg))
     first, second = xyz_from_latlon(lat, lon, radius_m)
     return float(np.linalg.norm(second - first))
 
 
-def shaded(heights_m: Float32Array, posting_m: float) -> ByteArray:
-    """Heights (h, w) as relief in gray, lit from the upper left; NaN is level.
+def shade(heights_m: Float32Array, posting_m: float) -> ByteArray:
+    """Shade heights (h, w) as relief in gray, lit from the upper left; NaN is level.
 
     Exaggerated until slopes read well, whatever the terrain's: this is a map, not a view.
     """
@@ -87,7 +87,7 @@ def shaded(heights_m: Float32Array, posting_m: float) -> ByteArray:
     return np.clip(np.rint(GRAY + DEPTH * light), 0.0, 255.0).astype(np.uint8)
 
 
-def _moon_heights(lat_deg: FloatArray, lon_deg: FloatArray) -> Float32Array:
+def _sample_moon(lat_deg: FloatArray, lon_deg: FloatArray) -> Float32Array:
     with open_raster(resource(MOON_FILE), OWN) as source:
         heights = source.read(1).astype(np.float32)
     rows, columns = heights.shape
@@ -102,10 +102,8 @@ def _moon_heights(lat_deg: FloatArray, lon_deg: FloatArray) -> Float32Array:
     return np.where(known, sampled, np.nan).astype(np.float32)
 
 
-def _whole_heights(
-    catalog: Catalog, lat_deg: FloatArray, lon_deg: FloatArray
-) -> Float32Array | None:
-    """Heights of the pixels from the relief of the whole body, if the catalog carries one."""
+def _sample_body(catalog: Catalog, lat_deg: FloatArray, lon_deg: FloatArray) -> Float32Array | None:
+    """Sample the pixels' heights in the relief of the full body, if the catalog carries one."""
     carried = catalog.relief()
     if carried is None:
         return None
@@ -115,18 +113,18 @@ def _whole_heights(
     return heights
 
 
-def _own_heights(
+def _sample_patches(
     catalog: Catalog, lat_deg: FloatArray, lon_deg: FloatArray, pixel_m: float
 ) -> Float32Array | None:
-    """Heights of the pixels from the patches of the nearest points, as far as those reach."""
+    """Sample the pixels' heights in the patches of the nearest points, as far as those reach."""
     known = np.isfinite(lat_deg)
-    chosen = _spread(catalog)
+    chosen = _thin_points(catalog)
     if len(chosen) == 0 or not known.any():
         return None
     lat, lon = lat_deg[known], lon_deg[known]
     directions = xyz_from_latlon(np.radians(lat), np.radians(lon), 1.0)
     chord, nearest = cKDTree(catalog.direction[chosen]).query(directions)
-    level, reach_m = _level(catalog, len(chosen))
+    level, reach_m = _choose_level(catalog, len(chosen))
     near = np.flatnonzero(chord * catalog.meta.radius_m <= reach_m)
     near = near[np.argsort(nearest[near], kind="stable")]
     bounds = np.searchsorted(nearest[near], np.arange(len(chosen) + 1))
@@ -142,7 +140,7 @@ def _own_heights(
         patch = levels[min(level, len(levels) - 1)]
         lat0, lon0 = np.radians((catalog.lat_deg[row], catalog.lon_deg[row]))
         projection = Stereographic(lat0, lon0, catalog.meta.radius_m)
-        heights[pixels] = _sampled(patch, *projection.xy_from_xyz(directions[pixels]), pixel_m)
+        heights[pixels] = _sample_patch(patch, *projection.xy_from_xyz(directions[pixels]), pixel_m)
     if damaged:  # the page is about the rest; `verify` lists the damage
         words = "%s: %d damaged control points are missing in the relief; run `catalog verify`"
         log.warning(words, catalog.path, damaged)
@@ -154,8 +152,8 @@ def _own_heights(
     return picture
 
 
-def _level(catalog: Catalog, chosen: int) -> tuple[int, float]:
-    """The finest level that reaches into all of a cell, and the farthest that it reaches (m).
+def _choose_level(catalog: Catalog, chosen: int) -> tuple[int, float]:
+    """Choose the finest level that reaches into all of a cell; return its farthest reach (m), too.
 
     chosen  points that are drawn; fewer than there are stand for more ground each
     """
@@ -166,8 +164,8 @@ def _level(catalog: Catalog, chosen: int) -> tuple[int, float]:
     return level, float(np.sqrt(2.0) * 2.0**level * half_m)
 
 
-def _spread(catalog: Catalog) -> IntArray:
-    """Rows of points that hold patches, thinned evenly over the body to a bearable number."""
+def _thin_points(catalog: Catalog) -> IntArray:
+    """Thin the points that hold patches evenly over the body to a bearable number."""
     rows = np.flatnonzero(catalog.records["levels"] > 0)
     step = catalog.meta.cell_deg
     while len(rows) > MAX_PATCHES:
@@ -177,8 +175,8 @@ def _spread(catalog: Catalog) -> IntArray:
     return rows
 
 
-def _sampled(patch: Patch, x: FloatArray, y: FloatArray, pixel_m: float) -> Float32Array:
-    """Heights at map places (n,) of a patch, smoothed to the map's pixel; NaN outside."""
+def _sample_patch(patch: Patch, x: FloatArray, y: FloatArray, pixel_m: float) -> Float32Array:
+    """Sample heights at map places (n,) of a patch, smoothed to the map's pixel; NaN outside."""
     heights = patch.heights_m
     sigma = 0.4 * pixel_m / patch.posting_m
     if sigma > 0.5:

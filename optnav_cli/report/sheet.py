@@ -6,17 +6,17 @@ from html import escape
 from pathlib import Path
 
 from catalog.files import replacing_file, starts_with
-from optnav_cli.report.page import styles
-from optnav_cli.report.svg import Plot, mark
+from optnav_cli.report.page import read_styles
+from optnav_cli.report.svg import Plot, draw_mark
 
 BEGINNING = "<!-- optnav picture -->\n"
 EDGE, GAP = 14, 10  # around the whole and between plots, px
 TITLE_HEIGHT, LEGEND_HEIGHT, HEADING_HEIGHT = 26, 22, 18
 LETTER = 6.6  # width of a letter of the legend, px, on average
 STYLE = f"""
-svg {{ {styles("light.css")} }}
+svg {{ {read_styles("light.css")} }}
 
-{styles("drawings.css")}
+{read_styles("drawings.css")}
 
 svg text.title {{ font-size: 15px; font-weight: 600; }}
 svg text.heading {{ font-weight: 600; }}
@@ -25,7 +25,7 @@ svg text.heading {{ font-weight: 600; }}
 
 @dataclass(frozen=True)
 class LegendEntry:
-    """What a series of all plots stands for.
+    """Legend of a series of all plots.
 
     series  of the plots, with "dashed" where its line is
     shape   of its marks, "" without
@@ -47,12 +47,12 @@ class Panel:
     description: str
 
 
-def sheet(title: str, legend: Sequence[LegendEntry], rows: Sequence[Sequence[Panel]]) -> str:
-    """The picture; all plots of a row are of the same height."""
+def draw_sheet(title: str, legend: Sequence[LegendEntry], rows: Sequence[Sequence[Panel]]) -> str:
+    """Draw the picture; all plots of a row are of the same height."""
     width = max(sum(p.plot.width for p in row) + GAP * (len(row) - 1) for row in rows) + 2 * EDGE
     parts: list[str] = []
     top = float(EDGE + TITLE_HEIGHT)
-    lines, top = _legend(legend, width, top)
+    lines, top = _draw_legend(legend, width, top)
     parts += lines
     for row in rows:
         left = float(EDGE)
@@ -79,12 +79,14 @@ def sheet(title: str, legend: Sequence[LegendEntry], rows: Sequence[Sequence[Pan
 
 def write_sheet(picture: str, path: Path) -> None:
     """Write a picture; an older one there is replaced. Raises OutputError for anything else."""
-    with replacing_file(path, starts_with(BEGINNING.encode())) as place:
-        place.write_text(picture, encoding="utf-8")
+    with replacing_file(path, starts_with(BEGINNING.encode())) as partial:
+        partial.write_text(picture, encoding="utf-8")
 
 
-def _legend(legend: Sequence[LegendEntry], width: float, top: float) -> tuple[list[str], float]:
-    """The entries in as many lines as they need, and where the plots begin."""
+def _draw_legend(
+    legend: Sequence[LegendEntry], width: float, top: float
+) -> tuple[list[str], float]:
+    """Draw the entries in as many lines as they need; return where the plots begin."""
     parts: list[str] = []
     left = float(EDGE)
     for entry in legend:
@@ -96,7 +98,7 @@ def _legend(legend: Sequence[LegendEntry], width: float, top: float) -> tuple[li
             ends = f"{left:g},{y:g} {left + 24:g},{y:g}"
             parts.append(f'<polyline class="line {entry.series}" points="{ends}"/>')
         if entry.shape:
-            parts.append(mark(left + 12.0, y, entry.series.replace("dashed", ""), entry.shape))
+            parts.append(draw_mark(left + 12.0, y, entry.series.replace("dashed", ""), entry.shape))
         parts.append(f'<text x="{left + 30:g}" y="{y + 4:g}">{escape(entry.words)}</text>')
         left += needed
     return parts, top + (LEGEND_HEIGHT if legend else 0)

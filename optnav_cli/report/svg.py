@@ -32,8 +32,8 @@ WIDE, HALF = 960, 470
 NARROW = 400  # a wide plot again, for telephones
 
 
-def ticks(low: float, high: float, count: int = 5) -> list[float]:
-    """About `count` round numbers from low to high: steps of 1, 2 or 5 times a power of ten."""
+def choose_ticks(low: float, high: float, count: int = 5) -> list[float]:
+    """Choose about `count` round numbers: steps of 1, 2 or 5 times a power of ten."""
     raw = (high - low) / max(count, 1)
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= 0.75 * raw)
@@ -41,32 +41,36 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
     return [round(n * step, 12) for n in range(first, last + 1)]
 
 
-def log_ticks(low: float, high: float) -> list[tuple[float, float]]:
-    """Places, which are common logarithms, and numbers of ticks: 1, 2 and 5 of every power of ten.
+def choose_log_ticks(low: float, high: float) -> list[tuple[float, float]]:
+    """Choose ticks at 1, 2 and 5 of every power of ten: their common logarithms and numbers.
 
     Over more than two powers the powers alone.
     """
     digits = (1.0, 2.0, 5.0) if high - low <= 2.0 else (1.0,)
     powers = range(math.floor(low), math.ceil(high) + 1)
-    found = [(power + math.log10(d), float(f"{d:g}e{power}")) for power in powers for d in digits]
-    return [(place, number) for place, number in found if low - 1e-9 <= place <= high + 1e-9]
+    pairs = [(power + math.log10(d), float(f"{d:g}e{power}")) for power in powers for d in digits]
+    return [
+        (position, number) for position, number in pairs if low - 1e-9 <= position <= high + 1e-9
+    ]
 
 
-def number_text(value: float) -> str:
-    """A tick's number, short, with a true minus sign."""
+def format_number(value: float) -> str:
+    """Format a tick's number, short, with a true minus sign."""
     return f"{value:.10g}".replace("-", "\N{MINUS SIGN}")
 
 
-def log_text(value: float) -> str:
-    """A number on a logarithmic axis: 0.01, 200, 10⁶."""
+def format_log_number(value: float) -> str:
+    """Format a number on a logarithmic axis: 0.01, 200, 10⁶."""
     power = round(math.log10(value))
     if PLAIN[0] <= value <= PLAIN[1] or not math.isclose(value, 10.0**power):
-        return number_text(value)
+        return format_number(value)
     return "10" + str(power).translate(SUPERSCRIPTS)
 
 
-def mark(x: float, y: float, series: str, shape: str, radius: float = 3.2, title: str = "") -> str:
-    """A mark as SVG at picture x, y; `series` may add "hollow", `title` is shown under the pointer.
+def draw_mark(
+    x: float, y: float, series: str, shape: str, radius: float = 3.2, title: str = ""
+) -> str:
+    """Draw a mark as SVG at picture x, y; `title` is shown under the pointer.
 
     Raises KeyError for a shape that is not in SHAPES.
     """
@@ -86,9 +90,9 @@ def mark(x: float, y: float, series: str, shape: str, radius: float = 3.2, title
     return f'<polygon class="mark {series}" points="{corners}">{name}</polygon>'
 
 
-def key_mark(series: str, shape: str, words: str) -> Markup:
-    """An entry of an HTML legend: the mark and what it stands for."""
-    drawn = mark(7.0, 7.0, series, shape, 4.5)
+def draw_key_mark(series: str, shape: str, words: str) -> Markup:
+    """Draw an entry of an HTML legend: the mark and what it stands for."""
+    drawn = draw_mark(7.0, 7.0, series, shape, 4.5)
     return Markup(
         f'<span class="entry"><svg class="sign" viewBox="0 0 14 14" aria-hidden="true">{drawn}'
         f"</svg>{escape(words)}</span>"
@@ -97,7 +101,7 @@ def key_mark(series: str, shape: str, words: str) -> Markup:
 
 @dataclass(frozen=True)
 class PlotAxis:
-    """One axis of a plot: what it spans, and what is written along it.
+    """One axis of a plot: its range, and what is written along it.
 
     ends     lowest and highest value; their common logarithms where `log`
     log      numbers are written as what the logarithms stand for
@@ -134,14 +138,14 @@ class Plot:
         x, y = (axis if isinstance(axis, PlotAxis) else PlotAxis(axis) for axis in (x, y))
         self.width, self.height = width, height
         self._left, self._right, self._top, self._bottom = margins
-        self.x, self.y = _opened(x.ends), _opened(y.ends)
+        self.x, self.y = _open_range(x.ends), _open_range(y.ends)
         if equal:
-            self._equalise()
+            self._match_scales()
         self._axes, self._x_axis, self._y_axis = axes, x, y
         self._ground: list[str] = []
         self._body: list[str] = []
 
-    def _equalise(self) -> None:
+    def _match_scales(self) -> None:
         across, up = self.inner
         unit = max((self.x[1] - self.x[0]) / across, (self.y[1] - self.y[0]) / up)
         for name, pixels in (("x", across), ("y", up)):
@@ -155,17 +159,17 @@ class Plot:
         return self.width - self._left - self._right, self.height - self._top - self._bottom
 
     def px(self, x: ArrayLike) -> FloatArray:
-        """Picture x of data x."""
+        """Convert data x to picture x."""
         scale = self.inner[0] / (self.x[1] - self.x[0])
         return self._left + (np.asarray(x, dtype=np.float64) - self.x[0]) * scale
 
     def py(self, y: ArrayLike) -> FloatArray:
-        """Picture y of data y, which grows upwards."""
+        """Convert data y, which grows upwards, to picture y."""
         scale = self.inner[1] / (self.y[1] - self.y[0])
         return self.height - self._bottom - (np.asarray(y, np.float64) - self.y[0]) * scale
 
     def line(self, x: ArrayLike, y: ArrayLike, series: str, closed: bool = False) -> None:
-        """A polyline, broken where a point is not finite (`closed` only when all are)."""
+        """Draw a polyline, broken where a point is not finite (`closed` only when all are)."""
         points = np.column_stack([self.px(x), self.py(y)])
         finite = np.isfinite(points).all(axis=1)
         closed = closed and bool(finite.all())
@@ -173,15 +177,15 @@ class Plot:
             run = run[np.isfinite(run).all(axis=1)]
             if len(run) > 1:
                 kind = "polygon" if closed else "polyline"
-                self._body.append(f'<{kind} class="line {series}" points="{_points(run)}"/>')
+                self._body.append(f'<{kind} class="line {series}" points="{_format_points(run)}"/>')
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, series: str) -> None:
-        """The area between two curves over the same x."""
+        """Draw the area between two curves over the same x."""
         edges = np.stack([np.asarray(v, dtype=np.float64) for v in (x, low, high)])
         x, low, high = edges[:, np.isfinite(edges).all(axis=0)]
         across = np.concatenate([self.px(x), self.px(x)[::-1]])
         outline = np.column_stack([across, np.concatenate([self.py(low), self.py(high)[::-1]])])
-        self._body.append(f'<polygon class="band {series}" points="{_points(outline)}"/>')
+        self._body.append(f'<polygon class="band {series}" points="{_format_points(outline)}"/>')
 
     def dots(
         self,
@@ -192,7 +196,7 @@ class Plot:
         titles: Sequence[str] | None = None,
         colours: Sequence[str] | None = None,
     ) -> None:
-        """Dots; `titles` appear under the pointer, `colours` (CSS) replace the series'."""
+        """Draw dots; `titles` appear under the pointer, `colours` (CSS) replace the series'."""
         for index, (cx, cy) in enumerate(np.column_stack([self.px(x), self.py(y)])):
             if not (math.isfinite(cx) and math.isfinite(cy)):
                 continue
@@ -210,16 +214,16 @@ class Plot:
         radius: float = 3.2,
         titles: Sequence[str] | None = None,
     ) -> None:
-        """Marks of a shape (see `marks`); `titles` as those of `dots`."""
+        """Draw marks of a shape (see `draw_mark`); `titles` as those of `dots`."""
         for index, (cx, cy) in enumerate(np.column_stack([self.px(x), self.py(y)])):
             if math.isfinite(cx) and math.isfinite(cy):
                 title = titles[index] if titles else ""
-                self._body.append(mark(cx, cy, series, shape, radius, title))
+                self._body.append(draw_mark(cx, cy, series, shape, radius, title))
 
     def area(self, x: ArrayLike, y: ArrayLike, series: str) -> None:
-        """The inside of a closed outline; it lies below lines, dots and words."""
+        """Draw the inside of a closed outline; it lies below lines, dots and words."""
         points = np.column_stack([self.px(x), self.py(y)])
-        self._ground.append(f'<polygon class="area {series}" points="{_points(points)}"/>')
+        self._ground.append(f'<polygon class="area {series}" points="{_format_points(points)}"/>')
 
     def bars(
         self,
@@ -230,7 +234,7 @@ class Plot:
         colours: Sequence[str] | None = None,
         titles: Sequence[str] | None = None,
     ) -> None:
-        """A histogram of `counts` between `edges`, standing on `base`; see `dots` for the rest."""
+        """Draw a histogram of `counts` between `edges`, on `base`; see `dots` for the others."""
         edges, counts = np.asarray(edges, dtype=np.float64), np.asarray(counts, dtype=np.float64)
         base = np.broadcast_to(np.asarray(base, dtype=np.float64), counts.shape)
         x, low, high = self.px(edges), self.py(base), self.py(base + counts)
@@ -248,11 +252,11 @@ class Plot:
                 )
 
     def level(self, y: float, series: str = "muted") -> None:
-        """A line across at height y."""
+        """Draw a line across at height y."""
         self.line(self.x, (y, y), f"{series} thin")
 
     def picture(self, data_uri: str, kind: str = "") -> None:
-        """A picture stretched over all that the axes enclose, below lines, dots and words.
+        """Draw a picture stretched over all that the axes enclose, below lines, dots and words.
 
         kind  "pale" for one that is not to distract from what is drawn on it
         """
@@ -262,29 +266,29 @@ class Plot:
         )
 
     def text(self, x: float, y: float, words: str, kind: str = "", anchor: str = "start") -> None:
-        """Small words at a place in data units, which is their start, middle or end."""
+        """Draw small words at a place in data units, which is their start, middle or end."""
         self._body.append(
             f'<text class="tick {kind}" text-anchor="{anchor}" x="{float(self.px(x)):.1f}" '
             f'y="{float(self.py(y)):.1f}">{escape(words)}</text>'
         )
 
     def svg(self, description: str, at: tuple[float, float] | None = None) -> Markup:
-        """The plot; `description` is read to people who cannot see it.
+        """Return the plot; `description` is read to people who cannot see it.
 
         at  left and top of its place in a larger drawing
         """
         named = f"{description}{self._x_axis.label}{self._y_axis.label}{self.width}"
-        clip = f"c{hash_of(named):x}"
+        clip = f"c{hash_words(named):x}"
         inner, left, top = self.inner, self._left, self._top
         wide = ' class="wide"' if self.width > HALF else ""
         size = f'width="{self.width}" height="{self.height}"'
-        place = f'x="{at[0]:g}" y="{at[1]:g}" {size} ' if at else ""
+        corner = f'x="{at[0]:g}" y="{at[1]:g}" {size} ' if at else ""
         parts = [
-            f'<svg {place}viewBox="0 0 {self.width} {self.height}" role="img"{wide} '
+            f'<svg {corner}viewBox="0 0 {self.width} {self.height}" role="img"{wide} '
             f'aria-label="{escape(description, quote=True)}">',
             f'<clipPath id="{clip}"><rect x="{left}" y="{top}" width="{inner[0]}" '
             f'height="{inner[1]}"/></clipPath>',
-            *(self._ticks() if self._axes else ()),
+            *(self._draw_ticks() if self._axes else ()),
             f'<g clip-path="url(#{clip})">',
             *self._ground,
             *self._body,
@@ -300,32 +304,34 @@ class Plot:
         ]
         return Markup("\n".join(parts))
 
-    def _ticks(self) -> Iterable[str]:
+    def _draw_ticks(self) -> Iterable[str]:
         bottom, right = self.height - self._bottom, self.width - self._right
-        for place, words in _numbers(self._x_axis, self.x, max(3, self.inner[0] // 70)):
-            x = float(self.px(place))
+        for position, words in _label_ticks(self._x_axis, self.x, max(3, self.inner[0] // 70)):
+            x = float(self.px(position))
             yield f'<line class="grid" x1="{x:.1f}" y1="{self._top}" x2="{x:.1f}" y2="{bottom}"/>'
             foot = f'text-anchor="middle" x="{x:.1f}" y="{bottom + 15}"'
             yield f'<text class="tick" {foot}>{words}</text>'
-        for place, words in _numbers(self._y_axis, self.y, max(4, self.inner[1] // 45)):
-            y = float(self.py(place))
+        for position, words in _label_ticks(self._y_axis, self.y, max(4, self.inner[1] // 45)):
+            y = float(self.py(position))
             yield f'<line class="grid" x1="{self._left}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}"/>'
             side = f'text-anchor="end" x="{self._left - 5}" y="{y + 4:.1f}"'
             yield f'<text class="tick" {side}>{words}</text>'
 
 
-def _numbers(axis: PlotAxis, ends: tuple[float, float], count: int) -> list[tuple[float, str]]:
-    """Places of an axis' ticks between its ends, and what is written beside them."""
+def _label_ticks(axis: PlotAxis, ends: tuple[float, float], count: int) -> list[tuple[float, str]]:
+    """Label an axis' ticks between its ends: positions, and what is written beside them."""
     if len(axis.numbers):
         places = np.log10(axis.numbers) if axis.log else axis.numbers
-        return [(float(x), number_text(v)) for x, v in zip(places, axis.numbers, strict=True)]
+        return [(float(x), format_number(v)) for x, v in zip(places, axis.numbers, strict=True)]
     if axis.log:
-        return [(place, log_text(number)) for place, number in log_ticks(*ends)]
-    return [(value, number_text(value)) for value in ticks(*ends, count=count)]
+        return [
+            (position, format_log_number(number)) for position, number in choose_log_ticks(*ends)
+        ]
+    return [(value, format_number(value)) for value in choose_ticks(*ends, count=count)]
 
 
-def span(values: ArrayLike, margin: float = 0.05) -> tuple[float, float]:
-    """The range of the finite values, widened by a share of it; (0, 1) for none."""
+def find_span(values: ArrayLike, margin: float = 0.05) -> tuple[float, float]:
+    """Find the range of the finite values, widened by a share of it; (0, 1) for none."""
     finite = np.asarray(values, dtype=np.float64).ravel()
     finite = finite[np.abs(finite) < MOST]  # not of NaN
     if finite.size == 0:
@@ -334,12 +340,12 @@ def span(values: ArrayLike, margin: float = 0.05) -> tuple[float, float]:
     return low - margin * (high - low), high + margin * (high - low)
 
 
-def hash_of(words: str) -> int:
-    """A number that is the same in every process, unlike `hash`."""
+def hash_words(words: str) -> int:
+    """Hash words to a number that is the same in every process, unlike `hash`."""
     return reduce(lambda number, byte: (number * 131 + byte) & 0xFFFFFFFF, words.encode(), 0)
 
 
-def _opened(ends: tuple[float, float]) -> tuple[float, float]:
+def _open_range(ends: tuple[float, float]) -> tuple[float, float]:
     low, high = (float(v) for v in ends)
     if high > low:
         return low, high
@@ -347,5 +353,5 @@ def _opened(ends: tuple[float, float]) -> tuple[float, float]:
     return low - half, low + half
 
 
-def _points(places: FloatArray) -> str:
+def _format_points(places: FloatArray) -> str:
     return " ".join(f"{x:.1f},{y:.1f}" for x, y in places)

@@ -26,7 +26,7 @@ from catalog.geometry.latlon import (
     xyz_from_latlon,
 )
 from catalog.geometry.projection import Stereographic
-from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis, number_text, span
+from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis, find_span, format_number
 
 MAX_RADIUS_DEG = 50.0  # beyond, a plain grid of longitude and latitude takes over
 STEPS_DEG = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
@@ -62,7 +62,7 @@ WORTH_A_LOG = 8.0  # highest over lowest value, from which a logarithm shows mor
 
 @dataclass(frozen=True, eq=False)
 class GroundMap:
-    """A way from latitude and longitude (deg) to map coordinates.
+    """Map projection from latitude and longitude (deg) to map coordinates.
 
     Stereographic about the middle of the places, in km, so that poles and ±180° are nothing
     special; for places all over a body longitude and latitude themselves.
@@ -73,8 +73,8 @@ class GroundMap:
     regional: bool
 
     @classmethod
-    def about(cls, lat_deg: ArrayLike, lon_deg: ArrayLike, radius_m: float) -> "GroundMap":
-        """A map that suits these places (n,), at least one."""
+    def fit(cls, lat_deg: ArrayLike, lon_deg: ArrayLike, radius_m: float) -> "GroundMap":
+        """Choose a map that suits these places (n,), at least one."""
         lat, lon = np.radians(lat_deg), np.radians(lon_deg)
         middle = xyz_from_latlon(lat, lon, 1.0).reshape(-1, 3).mean(axis=0)
         lat0, lon0, _ = latlon_from_xyz(middle)
@@ -84,7 +84,7 @@ class GroundMap:
         return cls(centre, radius_m, regional)
 
     def places(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Map coordinates x, y of places (...)."""
+        """Project places (...) to map coordinates x, y."""
         lat, lon = np.asarray(lat_deg, np.float64), np.asarray(lon_deg, np.float64)
         if not self.regional:
             return wrap_longitude_deg(lon), lat
@@ -94,7 +94,7 @@ class GroundMap:
         return x / 1e3, y / 1e3
 
     def latlon(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Latitude and longitude (deg) of map coordinates x, y (...)."""
+        """Convert map coordinates x, y (...) to latitude and longitude (deg)."""
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         if not self.regional:
             return y, x
@@ -103,22 +103,22 @@ class GroundMap:
         return np.degrees(lat), np.degrees(lon)
 
     def plot(self, x: ArrayLike, y: ArrayLike, width: int = WIDE, height: int = 600) -> Plot:
-        """An empty map that holds the map coordinates x, y (n,), with its graticule."""
+        """Plot an empty map that holds the map coordinates x, y (n,), with its graticule."""
         if not self.regional:
             lon = PlotAxis((-180.0, 180.0), "longitude, deg")
             lat = PlotAxis((-90.0, 90.0), "latitude, deg")
             return Plot(lon, lat, width=width, height=WHOLE_HEIGHT, equal=True)
-        lat0, lon0 = (number_text(round(v, 2)) + DEGREE for v in self.centre_deg)
-        x_ends, y_ends = span(x, 0.04), span(y, 0.04)
+        lat0, lon0 = (format_number(round(v, 2)) + DEGREE for v in self.centre_deg)
+        x_ends, y_ends = find_span(x, 0.04), find_span(y, 0.04)
         west, east = Plot(x_ends, y_ends, width=width, height=height, equal=True).x
         words = f"stereographic about {lat0}, {lon0}; the map is {east - west:.0f} km wide"
         x_axis = PlotAxis(x_ends, words)
         plot = Plot(x_axis, y_ends, width=width, height=height, equal=True, axes=False)
-        self._graticule(plot)
+        self._draw_graticule(plot)
         return plot
 
-    def _graticule(self, plot: Plot) -> None:
-        """Lines with their numbers where they enter the map, unless another number is near."""
+    def _draw_graticule(self, plot: Plot) -> None:
+        """Draw lines with numbers where they enter the map, unless another number is near."""
         km_per_deg = np.radians(self.radius_m) / 1e3
         reach = max(plot.x[1] - plot.x[0], plot.y[1] - plot.y[0]) / 2.0 / km_per_deg
         step = next((s for s in STEPS_DEG if s >= reach / 2.5), STEPS_DEG[-1])
@@ -139,17 +139,17 @@ class GroundMap:
         for value, lat, lon in lines:
             x, y = self.places(lat, lon)
             plot.line(x, y, "faint thin")
-            place = _entry(plot, x, y)
-            if place is None:
+            entry = _find_entry(plot, x, y)
+            if entry is None:
                 continue
-            at = np.array([float(plot.px(place[0])), float(plot.py(place[1]))])
+            at = np.array([float(plot.px(entry[0])), float(plot.py(entry[1]))])
             if all(np.linalg.norm(at - other) > LABEL_ROOM_PX for other in taken):
                 taken.append(at)
-                plot.text(*place, number_text(round(float(value), 3)) + DEGREE, "place")
+                plot.text(*entry, format_number(round(float(value), 3)) + DEGREE, "place")
 
 
-def _entry(plot: Plot, x: FloatArray, y: FloatArray) -> tuple[float, float] | None:
-    """Where a line crosses the map's left edge or, if nowhere, its lower one; a little inside."""
+def _find_entry(plot: Plot, x: FloatArray, y: FloatArray) -> tuple[float, float] | None:
+    """Find where a line crosses the map's left edge or, if nowhere, its lower one; a bit inside."""
     shift = 0.008 * (plot.x[1] - plot.x[0])
     for along, other, edge, limits, left in (
         (x, y, plot.x[0], plot.y, True),
@@ -177,14 +177,14 @@ class MapView:
     """
 
     name: str
-    whole: bool
+    of_body: bool
     plot: Callable[[], Plot]
     latlon: Places
     places: Places
     outline: FloatArray | None
 
     def pixels(self) -> tuple[FloatArray, FloatArray]:
-        """Latitude and longitude (deg) of the middles of a picture's pixels, (h, w)."""
+        """Compute latitude and longitude (deg) of the middles of a picture's pixels, (h, w)."""
         plot = self.plot()
         width, height = (round(SHARPNESS * side) for side in plot.inner)
         x = plot.x[0] + (np.arange(width) + 0.5) * (plot.x[1] - plot.x[0]) / width
@@ -192,31 +192,31 @@ class MapView:
         return self.latlon(*np.meshgrid(x, y))
 
 
-def views(
+def choose_views(
     grid: CellGrid, ids: IntArray, lat_deg: FloatArray, lon_deg: FloatArray, radius_m: float
 ) -> list[MapView]:
-    """The maps that suit a catalog's points (n,), at least one: the main map first."""
-    lat, lon = corners_deg(grid, ids)
+    """Choose the maps that suit a catalog's points (n,), at least one: the main map first."""
+    lat, lon = compute_corners(grid, ids)
     lat, lon = np.concatenate([lat.ravel(), lat_deg]), np.concatenate([lon.ravel(), lon_deg])
-    ground = GroundMap.about(lat, lon, radius_m)
+    ground = GroundMap.fit(lat, lon, radius_m)
     if not ground.regional:
-        return [_whole(), _cap(90.0, radius_m), _cap(-90.0, radius_m)]
+        return [_make_mollweide(), _make_cap(90.0, radius_m), _make_cap(-90.0, radius_m)]
     x, y = ground.places(lat, lon)
-    return [_region(ground, x, y, WIDE, 620), _region(ground, x, y, HALF, 330)]
+    return [_make_region(ground, x, y, WIDE, 620), _make_region(ground, x, y, HALF, 330)]
 
 
-def rows_of_pixels(
+def find_rows(
     grid: CellGrid, ids: IntArray, lat_deg: FloatArray, lon_deg: FloatArray
 ) -> Int32Array:
-    """Row in the ascending `ids` of the cell under each place (...), -1 without one."""
+    """Find the row in the ascending `ids` of the cell under each place (...), -1 without one."""
     known = np.isfinite(lat_deg) & np.isfinite(lon_deg)
     cells = grid.find_cells(np.where(known, lat_deg, 0.0), np.where(known, lon_deg, 0.0))
     rows = np.minimum(np.searchsorted(ids, cells), len(ids) - 1)
     return np.where(known & (ids[rows] == cells), rows, -1).astype(np.int32)
 
 
-def corners_deg(grid: CellGrid, ids: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Latitudes and longitudes (n, 4) of the corners of cells."""
+def compute_corners(grid: CellGrid, ids: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Compute latitudes and longitudes (n, 4) of the corners of cells."""
     band = np.searchsorted(grid.first_cell, ids, side="right") - 1
     width = 360.0 / grid.cells_in_band[band]
     west = -180.0 + width * (ids - grid.first_cell[band])
@@ -228,13 +228,15 @@ def corners_deg(grid: CellGrid, ids: IntArray) -> tuple[FloatArray, FloatArray]:
     return lat, wrap_longitude_deg(lon)
 
 
-def _region(ground: GroundMap, x: FloatArray, y: FloatArray, width: int, height: int) -> MapView:
+def _make_region(
+    ground: GroundMap, x: FloatArray, y: FloatArray, width: int, height: int
+) -> MapView:
     name = "the region, north up" if abs(ground.centre_deg[0]) < 89.0 else "the pole"
     plot = partial(ground.plot, x, y, width, height)
     return MapView(name, False, plot, ground.latlon, ground.places, None)
 
 
-def _whole() -> MapView:
+def _make_mollweide() -> MapView:
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
     outline = np.array([HALF_WIDTH * np.cos(angle), HALF_HEIGHT * np.sin(angle)])
 
@@ -259,14 +261,14 @@ def _whole() -> MapView:
             drawing.line(*places(meridian, np.full(61, lon)), "graticule")
         for lat, lon in [(lat, 0.0) for lat in lats if lat] + [(0.0, lon) for lon in lons]:
             x, y = places(lat, lon)
-            drawing.text(float(x) + 0.02, float(y) + 0.02, _degrees(lat or lon), "halo")
+            drawing.text(float(x) + 0.02, float(y) + 0.02, _format_degrees(lat or lon), "halo")
         drawing.line(outline[0], outline[1], "rim")
         return drawing
 
     return MapView("the whole body, equal-area (Mollweide)", True, plot, latlon, places, outline)
 
 
-def _cap(pole_deg: float, radius_m: float) -> MapView:
+def _make_cap(pole_deg: float, radius_m: float) -> MapView:
     ground = GroundMap((pole_deg, 0.0), radius_m, True)
     angle = np.linspace(-180.0, 180.0, 181)
     side = 1.0 if pole_deg > 0.0 else -1.0
@@ -284,10 +286,10 @@ def _cap(pole_deg: float, radius_m: float) -> MapView:
         for lat in (70.0, 80.0):
             drawing.line(*ground.places(np.full(181, side * lat), angle), "graticule")
             x, y = ground.places(side * lat, 45.0)
-            drawing.text(float(x), float(y), _degrees(side * lat), "halo", "middle")
+            drawing.text(float(x), float(y), _format_degrees(side * lat), "halo", "middle")
         for lon in (-90.0, 0.0, 90.0, 180.0):
             x, y = ground.places(side * 63.0, lon)
-            drawing.text(float(x), float(y) - 0.012 * rim, _degrees(lon), "halo", "middle")
+            drawing.text(float(x), float(y) - 0.012 * rim, _format_degrees(lon), "halo", "middle")
         for lon in range(-180, 180, 45):
             lats = np.array([side * CAP_DEG, side * 89.999])
             drawing.line(*ground.places(lats, np.full(2, float(lon))), "graticule")
@@ -300,8 +302,8 @@ def _cap(pole_deg: float, radius_m: float) -> MapView:
     )
 
 
-def _degrees(value: float) -> str:
-    return number_text(float(value)) + DEGREE
+def _format_degrees(value: float) -> str:
+    return format_number(float(value)) + DEGREE
 
 
 @dataclass(frozen=True)
@@ -318,8 +320,8 @@ class Scale:
     log: bool = False
 
     @classmethod
-    def of(cls, values: FloatArray, more_is_better: bool, log: bool = False) -> "Scale":
-        """A scale for finite values (n,), at least one; the outermost values may lie beyond.
+    def fit(cls, values: FloatArray, more_is_better: bool, log: bool = False) -> "Scale":
+        """Fit a scale to finite values (n,), at least one; the outermost values may lie beyond.
 
         log  allows a logarithmic one, which is taken where the values span much
         """
@@ -335,17 +337,17 @@ class Scale:
             low, high = low - margin, high + margin
         return cls(low, high, more_is_better)
 
-    def along(self, values: FloatArray) -> FloatArray:
-        """Where values stand on an axis: themselves, or their common logarithm."""
+    def map_to_axis(self, values: FloatArray) -> FloatArray:
+        """Map values to an axis: themselves, or their common logarithm."""
         values = np.asarray(values, np.float64)
         return np.log10(np.maximum(values, self.low)) if self.log else values
 
     def bgr(self, values: FloatArray) -> ByteArray:
         """Colours (n, 3) of finite values (n,)."""
-        return self._bgr(self.along(values))
+        return self._bgr(self.map_to_axis(values))
 
     def _bgr(self, along: FloatArray) -> ByteArray:
-        low, high = self.along(np.array([self.low, self.high]))
+        low, high = self.map_to_axis(np.array([self.low, self.high]))
         share = np.clip((along - low) / (high - low), 0.0, 1.0)
         share = share if self.more_is_better else 1.0 - share
         step = np.minimum((share * STEPS).astype(np.int64), STEPS - 1)
@@ -359,13 +361,15 @@ class Scale:
         return [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in self._bgr(along).tolist()]
 
 
-def blended(css: str, share: float, gray: float) -> str:
-    """A colour as it looks over a gray (0..255) that it covers by a share."""
-    mixed = (round(share * channel + (1.0 - share) * gray) for channel in reversed(bgr_of(css)))
+def blend(css: str, share: float, gray: float) -> str:
+    """Blend a colour over a gray (0..255) that it covers by a share."""
+    mixed = (
+        round(share * channel + (1.0 - share) * gray) for channel in reversed(parse_colour(css))
+    )
     return "#" + "".join(f"{channel:02x}" for channel in mixed)
 
 
-def bgr_of(css: str) -> tuple[int, int, int]:
-    """Blue, green, red of "#rrggbb"."""
+def parse_colour(css: str) -> tuple[int, int, int]:
+    """Parse "#rrggbb" to blue, green, red."""
     red, green, blue = (int(css[i : i + 2], 16) for i in (1, 3, 5))
     return blue, green, red

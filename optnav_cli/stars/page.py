@@ -10,7 +10,7 @@ from optnav_cli.frames.tables import ATTITUDES
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.run_folder import OVERLAYS
 from optnav_cli.report import page as html
-from optnav_cli.report.pictures import overlays
+from optnav_cli.report.pictures import list_overlays
 
 STARS_KIND, ATTITUDES_CSV = "stars", "attitudes.csv"
 HEADER = ("file", "UTC", "stars", "of spots", "rms, px", "σ across, ″", "σ about, ″", "chance")
@@ -28,7 +28,7 @@ def build_stars_page(folder: Path) -> str:
         worst = max(row.number("sigma_x_arcsec") or 0.0 for row in solved)
         tiles.append((f"{worst:.1f}″", "sigma across the line of sight, at most"))
     lost = [(row["file"], row["utc"], row["reason"]) for row in rows if row["status"] != "solved"]
-    shown, damaged = overlays(folder / OVERLAYS, [row["file"] for row in rows])
+    shown, damaged = list_overlays(folder / OVERLAYS, [row["file"] for row in rows])
     words = "Green: stars, with names; blue: other spots; yellow: residuals. A click enlarges."
     notes = [html.paragraph(damaged, "note")] if damaged else []
     sections = [
@@ -39,7 +39,7 @@ def build_stars_page(folder: Path) -> str:
         html.section("Made from", html.folded("manifest.json", html.listing(manifest))),
     ]
     subtitle = f"{len(rows)} pictures, {len(solved)} solved. Attitudes are camera_from_inertial."
-    return html.page(f"Stars: run {folder.resolve().name}", subtitle, filter(None, sections))
+    return html.build_page(f"Stars: run {folder.resolve().name}", subtitle, filter(None, sections))
 
 
 def _list_unsolved(rows: Sequence[tuple[str, str, str]]) -> Markup:

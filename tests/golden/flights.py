@@ -18,10 +18,15 @@ from optnav_cli.evaluation.files import EVALUATION_CSV, read_error_rows
 from optnav_cli.main import cli
 from optnav_cli.navigate.page import read_evaluation
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.report.catalog_maps import POINT_COLOURS, first_reasons, legend_entries, panels
-from optnav_cli.report.page import grouped
-from optnav_cli.report.relief import GRAY, relief
-from optnav_cli.report.views import bgr_of, blended
+from optnav_cli.report.catalog_maps import (
+    POINT_COLOURS,
+    find_first_reasons,
+    list_legend_entries,
+    list_panels,
+)
+from optnav_cli.report.page import format_count
+from optnav_cli.report.relief import GRAY, find_relief
+from optnav_cli.report.views import blend, parse_colour
 from tests.golden import sketch
 
 MOON = """[body]
@@ -108,12 +113,14 @@ def optnav(*arguments: str) -> None:
 def usable_map(path: Path) -> tuple[ByteArray, str]:
     """The Moon and its polar caps with usable points and why others are not; its caption."""
     with Catalog.open(path) as catalog:
-        kinds = first_reasons(catalog)
-        colours = np.array([bgr_of(POINT_COLOURS[kind]) for kind in kinds.tolist()], np.float64)
+        kinds = find_first_reasons(catalog)
+        colours = np.array(
+            [parse_colour(POINT_COLOURS[kind]) for kind in kinds.tolist()], np.float64
+        )
         share = np.where(kinds == 0, TINT, STRONG_TINT)[:, None]
         drawn = []
-        for panel in panels(catalog):
-            ground = relief(catalog, panel.lat_deg, panel.lon_deg)
+        for panel in list_panels(catalog):
+            ground = find_relief(catalog, panel.lat_deg, panel.lon_deg)
             if ground is None:
                 raise ValueError(f"{path}: has no relief to draw")
             gray, known, _ = ground
@@ -125,20 +132,21 @@ def usable_map(path: Path) -> tuple[ByteArray, str]:
         caps = [caps[0], np.full((len(caps[0]), GAP_PX, 3), PAPER, np.uint8), *caps[1:]]
         rows = [_fitted(drawn[0], WIDTH), np.hstack(caps)]
         shares = [TINT] + [STRONG_TINT] * (len(POINT_COLOURS) - 1)
-        looks = [blended(c, s, GRAY) for c, s in zip(POINT_COLOURS, shares, strict=True)]
-        entries = legend_entries(kinds, looks)
+        looks = [blend(c, s, GRAY) for c, s in zip(POINT_COLOURS, shares, strict=True)]
+        entries = list_legend_entries(kinds, looks)
         strip = np.full((ROW_PX * -(-len(entries) // 2) + 12, WIDTH, 3), PAPER, np.uint8)
         for number, (colour, words) in enumerate(entries):
             row, column = divmod(number, 2)
             x, y = 14 + column * WIDTH // 2, ROW_PX * (row + 1)
-            sketch.dot(strip, (x, y - 5), 5.0, bgr_of(colour))
+            sketch.dot(strip, (x, y - 5), 5.0, parse_colour(colour))
             plain = words.replace("\N{NARROW NO-BREAK SPACE}", " ")  # the font has nothing else
             cv2.putText(strip, plain, (x + 14, y), sketch.FONT, 0.45, INK, 1, cv2.LINE_AA)
         usable = int(catalog.usable.sum())
         caption = (
             f"A catalog of the whole Moon from the 948 m model, cells of "
-            f"{catalog.meta.cell_deg:g}°: {grouped(usable)} of {grouped(len(catalog))} points "
-            "usable; above in equal area, below the polar caps. The others stand in the colour of "
+            f"{catalog.meta.cell_deg:g}°: {format_count(usable)} of "
+            f"{format_count(len(catalog))} points usable; "
+            "above in equal area, below the polar caps. The others stand in the colour of "
             "the first check that they failed, as on the page of `optnav report`."
         )
     return np.vstack([*rows, strip]), caption

@@ -27,7 +27,7 @@ from optnav_cli.hazard.settings import HazardSettings
 from optnav_cli.output.canvas import scale_to_eight_bits
 from optnav_cli.output.overlay import RESIDUALS_ENLARGED, draw_overlay, project_patches
 from optnav_cli.output.run_folder import RunFolder, read_run
-from optnav_cli.report.body_sides import sides_picture
+from optnav_cli.report.body_sides import draw_sides_picture
 from tests.golden import sketch
 from tests.studies import hazard as study
 from tests.studies.hazard_fields import make_field, perspective_picture
@@ -161,7 +161,7 @@ def hazard_map(seed: int, elevation_deg: float, square_m: float) -> Drawn:
 def body_sides(catalog_path: Path) -> Drawn:
     """A small body with its points from its six sides."""
     with Catalog.open(catalog_path) as catalog:
-        picture = sides_picture(catalog)
+        picture = draw_sides_picture(catalog)
         caption = (
             f"{catalog.meta.body.capitalize()} from six sides: {int(catalog.usable.sum())} of "
             f"{len(catalog)} control points are usable."

@@ -39,7 +39,7 @@ from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigate.inputs import open_catalogs, open_field
 from optnav_cli.reasons import ReasonCode
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet, write_sheet
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet, write_sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sections import MainCamera
@@ -366,7 +366,7 @@ def picture(result: Acceptance) -> str:
         for series, values in (("s4", wrong), ("s1", refused)):
             plot.line(limits, np.log10(np.maximum(values, 10.0 ** SHARES[0])), series)
         panels.append(Panel("", plot, f"Wrong ones solved and right ones refused against {label}"))
-    return sheet("Acceptance of poses from control points", legend, [panels])
+    return draw_sheet("Acceptance of poses from control points", legend, [panels])
 
 
 def _right(name: str, outcomes: Sequence[SituationOutcome]) -> tuple[Cell, ...]:

@@ -19,7 +19,7 @@ from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.outline.limb.model import fit_limb, solve_linear_position
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from tests.studies.tables import StudyReport, StudyTable, columns, rms
 
@@ -152,7 +152,9 @@ def picture(rows: Sequence[ArcRow]) -> str:
         panels.append(_panel(own, name, quantity))
         x, y = [r.arc_deg for r in linear], [getattr(r, quantity) for r in linear]
         panels[-1].plot.line(x, np.log10(y), "s1 dashed")
-    return sheet("Errors of a horizon by its arc in view, in sigmas of a point", legend, [panels])
+    return draw_sheet(
+        "Errors of a horizon by its arc in view, in sigmas of a point", legend, [panels]
+    )
 
 
 def _panel(rows: Sequence[ArcRow], name: str, quantity: str) -> Panel:

@@ -23,7 +23,7 @@ import numpy as np
 
 from catalog.progress import Progress
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from tests.studies import matching_trials
 from tests.studies.tables import StudyReport, StudyTable, columns, rms
@@ -177,7 +177,7 @@ def picture(rows: Sequence[MatchingRow]) -> str:
         legend.append(LegendEntry(f"{series} dashed hollow", f"{name}, aided as above each", shape))
     legend.append(LegendEntry("muted dashed", f"{100.0 * RECOGNISED:.0f} %", ""))
     legend.append(LegendEntry("s4 dashed", "tolerance that the source states", ""))
-    return sheet(
+    return draw_sheet(
         "What matching bears: control points recognised, and the error of their places",
         legend,
         [

@@ -16,7 +16,7 @@ from optnav_cli.frames.points import PickedPoint
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
 from optnav_cli.points.constructions import CircleGround, Picks, locate_by_circles, locate_by_tori
 from optnav_cli.points.method import PickedFrames
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from tests.studies.picked_lens import picked_lens_figures
 from tests.studies.picked_orbits import series_figures
@@ -336,7 +336,7 @@ def picture(result: PointsFigures) -> str:
         _panel("number of points", result.numbers, log_x=True),
         _panel("angle off the nadir, °", result.tilts, log_x=False),
     ]
-    return sheet("Errors of a place from picked points, rms", legend, [panels])
+    return draw_sheet("Errors of a place from picked points, rms", legend, [panels])
 
 
 def _panel(title: str, rows: Sequence[tuple[Cell, ...]], *, log_x: bool) -> Panel:

@@ -22,7 +22,7 @@ from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.estimation.resection import resect
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from tests.studies.tables import StudyReport, StudyTable, columns, rms
 
@@ -132,7 +132,9 @@ def picture(rows: list[ResectionRow]) -> str:
         reach = (0.05, 1000.0) if free else (0.05, 100.0)
         row = [_against_angle(chosen, name, attitude, reach) for name in ("horizontal", "height")]
         panels.append([*row, _against_number(chosen, attitude, reach)])
-    return sheet("Error of a position from control points, in sigmas of a point", legend, panels)
+    return draw_sheet(
+        "Error of a position from control points, in sigmas of a point", legend, panels
+    )
 
 
 def _against_angle(

@@ -11,7 +11,7 @@ from catalog.progress import Progress
 from optnav_cli.orbit.fit.motion import ArcMotion
 from optnav_cli.orbit.fit.settings import ParameterSettings
 from optnav_cli.orbit.fit.zenith_fit import fit_zenith
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 from tests.studies.zenith_flights import (
@@ -357,7 +357,7 @@ def picture(result: ZenithFigures) -> str:
             [float(np.mean([float(v) for v in text.split("-")])) for text in TABLE_4.values()],
         ),
     ]
-    return sheet("Errors of orbits through zenith distances", legend, [panels])
+    return draw_sheet("Errors of orbits through zenith distances", legend, [panels])
 
 
 def _panel(title: str, x: list[float], ours: list[float], seeds: list[float]) -> Panel:

@@ -6,9 +6,9 @@ from markupsafe import Markup
 from catalog.arrays import FloatArray
 from optnav_cli.fix import Method
 from optnav_cli.output.run_folder import RunFolder
-from optnav_cli.report.error_plots import AXES, frames_of
+from optnav_cli.report.error_plots import AXES, collect_frames
 from optnav_cli.report.page import figure, side_by_side
-from optnav_cli.report.svg import NARROW, WIDE, Plot, PlotAxis, span
+from optnav_cli.report.svg import NARROW, WIDE, Plot, PlotAxis, find_span
 
 DESCENT_METHODS = (Method.DESCENT, Method.RELATIVE_LANDMARKS)
 HEIGHT = "height above the reference sphere, km"
@@ -25,7 +25,7 @@ def descent_plots(run: RunFolder, stated: bool = False) -> list[Markup]:
 
     stated  as for `error_plots`, of which the errors raised are the same
     """
-    frames = frames_of(run, stated)
+    frames = collect_frames(run, stated)
     heights = frames.heights_km
     shown = frames.error if frames.compared else frames.sigma
     known = np.isfinite(heights) & np.isfinite(shown).all(axis=1)
@@ -52,9 +52,9 @@ def _errors_plot(
     x: FloatArray, values: FloatArray, bound: FloatArray, letter: str, compared: bool, width: int
 ) -> Markup:
     low, high = (-bound, bound) if compared else (np.zeros_like(values), values)
-    y = span(np.concatenate([values, low, high]), 0.08)
+    y = find_span(np.concatenate([values, low, high]), 0.08)
     label = f"{letter}, m" if compared else f"sigma {letter}, m"
-    plot = Plot(PlotAxis(span(x, 0.03), ""), PlotAxis(y, label), width=width, height=190)
+    plot = Plot(PlotAxis(find_span(x, 0.03), ""), PlotAxis(y, label), width=width, height=190)
     if compared and len(x) > 1:
         plot.band(x, low, high, "s1")
         plot.level(0.0)
@@ -74,7 +74,7 @@ def _counts_plot(run: RunFolder, width: int) -> Markup:
     x = x / 1e3
     counts = {name: np.array([getattr(s, name) or 0 for s in solved]) for name, _ in COUNTS}
     most = max(float(values.max(initial=1)) for values in counts.values())
-    axes = PlotAxis(span(x, 0.03), HEIGHT), PlotAxis((0.0, 1.1 * most), "kept")
+    axes = PlotAxis(find_span(x, 0.03), HEIGHT), PlotAxis((0.0, 1.1 * most), "kept")
     plot = Plot(*axes, width=width, height=190)
     for name, series in COUNTS:
         plot.marks(x, counts[name], series, "circle")

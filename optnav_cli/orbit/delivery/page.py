@@ -14,8 +14,8 @@ from optnav_cli.orbit.delivery.settings import ARRIVALS_CSV, BOXES_CSV, STAGES_C
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.wording import format_json
 from optnav_cli.report import page as html
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet
-from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis, span
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
+from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis, find_span
 
 MAX_DOTS = 450
 HEADER = (
@@ -55,7 +55,7 @@ def delivery_page(folder: Path) -> str:
         html.section("Corrections", dv, html.table(HEADER, [_cells(row) for row in rows])),
         html.section("How it was made", html.listing(format_json(manifest))),
     ]
-    return html.page(
+    return html.build_page(
         f"Delivery to {target.capitalize()}", "Bounds and trials of an arrival", sections
     )
 
@@ -69,7 +69,7 @@ def delivery_sheet(folder: Path) -> str:
         LegendEntry("s2", "boxes that hold all bounded errors", ""),
         LegendEntry("s4 dashed", "circle of impact", ""),
     ]
-    return sheet("A delivery: the arrival in the B-plane", legend, [panels])
+    return draw_sheet("A delivery: the arrival in the B-plane", legend, [panels])
 
 
 def plane_plots(folder: Path, results: Mapping[str, float]) -> list[tuple[str, Plot]]:
@@ -98,8 +98,8 @@ def plane_plots(folder: Path, results: Mapping[str, float]) -> list[tuple[str, P
         ("errors", np.zeros(2), corners),
     ):
         axes = (
-            PlotAxis(span(around[:, 0], 0.06), "ξ, km"),
-            PlotAxis(span(around[:, 1], 0.06), "η, km"),
+            PlotAxis(find_span(around[:, 0], 0.06), "ξ, km"),
+            PlotAxis(find_span(around[:, 1], 0.06), "η, km"),
         )
         plot = Plot(*axes, width=HALF, height=440, equal=True)
         if name != "errors":

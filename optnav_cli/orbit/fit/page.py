@@ -20,8 +20,8 @@ from optnav_cli.orbit.fit.zenith_output import ZENITH_RESIDUALS_CSV
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.wording import format_json, format_length
 from optnav_cli.report import page as html
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet
-from optnav_cli.report.svg import HALF, NARROW, WIDE, Plot, PlotAxis, span
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
+from optnav_cli.report.svg import HALF, NARROW, WIDE, Plot, PlotAxis, find_span
 
 HOURS = "h after the first row"
 ELLIPSES = 5  # times whose ellipses are drawn
@@ -118,7 +118,7 @@ def orbit_page(folder: Path) -> str:
         html.section("How it was made", html.listing(format_json(read_manifest(folder)))),
     ]
     words = f"{orbit.body.name.capitalize()}, {first} to {last}"
-    return html.page(f"An orbit through {_measured(drawn)}", words, sections)
+    return html.build_page(f"An orbit through {_measured(drawn)}", words, sections)
 
 
 def orbit_sheet(folder: Path) -> str:
@@ -130,7 +130,7 @@ def orbit_sheet(folder: Path) -> str:
         plot = _look_plot(drawn.looks, WIDE)
         legend = [LegendEntry("s1", "residuals, 3 sigma"), LegendEntry("s4", "left out", "circle")]
         what = f"Zenith distances less the orbit, {drawn.orbit.body.name.capitalize()}"
-        return sheet(what, legend, [[Panel("", plot, "Residuals of zenith distances")]])
+        return draw_sheet(what, legend, [[Panel("", plot, "Residuals of zenith distances")]])
     panels = []
     for axis, name in enumerate(AXES):
         plot = (
@@ -143,7 +143,7 @@ def orbit_sheet(folder: Path) -> str:
     if not compared:
         legend = [LegendEntry("s1", "residuals, 3 sigma"), LegendEntry("s4", "left out", "circle")]
     what = "An orbit and its fixes against the truth" if compared else "Fixes less the orbit"
-    return sheet(f"{what}, {drawn.orbit.body.name.capitalize()}", legend, panels)
+    return draw_sheet(f"{what}, {drawn.orbit.body.name.capitalize()}", legend, panels)
 
 
 def _measured(drawn: OrbitPicture) -> str:
@@ -153,8 +153,8 @@ def _measured(drawn: OrbitPicture) -> str:
 def _look_plot(looks: FloatArray, width: int) -> Plot:
     """Residuals of zenith distances with their sigmas."""
     hours, residuals, bound, used = looks[:, 0], looks[:, 1], STATED * looks[:, 2], looks[:, 3] > 0
-    ends = span(np.concatenate([residuals[used], bound, -bound]), 0.08)
-    axes = PlotAxis(span(hours, 0.03), HOURS), PlotAxis(ends, "residual, arc seconds")
+    ends = find_span(np.concatenate([residuals[used], bound, -bound]), 0.08)
+    axes = PlotAxis(find_span(hours, 0.03), HOURS), PlotAxis(ends, "residual, arc seconds")
     plot = Plot(*axes, width=width, height=230)
     plot.band(hours, -bound, bound, "s1")
     plot.level(0.0)
@@ -195,10 +195,10 @@ def _residuals(drawn: OrbitPicture) -> Markup:
 def _residual_plot(drawn: OrbitPicture, axis: int, width: int) -> Plot:
     x, y = drawn.fix_hours, drawn.residuals[:, axis]
     bound = STATED * drawn.fix_sigmas[:, axis]
-    ends = span(np.concatenate([y[drawn.used], bound, -bound]), 0.08)
+    ends = find_span(np.concatenate([y[drawn.used], bound, -bound]), 0.08)
     inside = np.clip(y, *ends)  # one that is left out may lie anywhere: at the edge then
     axes = (
-        PlotAxis(span(x, 0.03), HOURS if axis == 2 else ""),
+        PlotAxis(find_span(x, 0.03), HOURS if axis == 2 else ""),
         PlotAxis(ends, f"{AXES[axis].upper()}, m"),
     )
     plot = Plot(*axes, width=width, height=190)
@@ -238,11 +238,11 @@ def _error_plot(drawn: OrbitPicture, axis: int, chosen: BoolArray, width: int) -
     bound = STATED * drawn.sigmas[chosen, axis]
     on_arc = not drawn.ahead[chosen].any()
     fixes_x, fixes_y = _own_errors(drawn, axis) if on_arc else (np.empty(0), np.empty(0))
-    ends = span(np.concatenate([y, bound, -bound, fixes_y]), 0.08)
+    ends = find_span(np.concatenate([y, bound, -bound, fixes_y]), 0.08)
     unit, name = (1e3, "km") if max(map(abs, ends)) > 5e3 else (1.0, "m")
     label = f"{AXES[axis].upper()}, {name}"
     axes = (
-        PlotAxis(span(x, 0.03), HOURS if axis == 2 else ""),
+        PlotAxis(find_span(x, 0.03), HOURS if axis == 2 else ""),
         PlotAxis((ends[0] / unit, ends[1] / unit), label),
     )
     plot = Plot(*axes, width=width, height=190)
@@ -273,7 +273,7 @@ def _sigmas(drawn: OrbitPicture) -> Markup:
     drawings = []
     for kind, width in (("wider", WIDE), ("narrow", NARROW)):
         axes = (
-            PlotAxis(span(hours, 0.03), HOURS),
+            PlotAxis(find_span(hours, 0.03), HOURS),
             PlotAxis((0.0, 1.08 * float(sigmas.max())), "sigma, m"),
         )
         plot = Plot(*axes, width=width, height=230)

@@ -14,8 +14,8 @@ from optnav_cli.orbit.landing.settings import IMPULSE_CSV, LANDING_CSV, PATH_CSV
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.wording import format_json
 from optnav_cli.report import page as html
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet
-from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis, span
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
+from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis, find_span
 
 LIMIT_M = 100.0  # circle about the target
 HEADER = (
@@ -60,7 +60,7 @@ def landing_page(folder: Path) -> str:
         html.section("Trials", html.folded(f"{len(rows)} trials", table)),
         html.section("How it was made", html.listing(format_json(manifest))),
     ]
-    return html.page("Landing", f"{len(landed)} of {len(rows)} trials land", sections)
+    return html.build_page("Landing", f"{len(landed)} of {len(rows)} trials land", sections)
 
 
 def landing_sheet(folder: Path) -> str:
@@ -75,7 +75,7 @@ def landing_sheet(folder: Path) -> str:
         LegendEntry("s3 thin", "beams", ""),
         LegendEntry("s1", "touchdown", "circle", False),
     ]
-    return sheet(f"A landing: {len(landed)} trials touch down", legend, [panels])
+    return draw_sheet(f"A landing: {len(landed)} trials touch down", legend, [panels])
 
 
 def section_plot(folder: Path, width: int) -> Plot:
@@ -83,8 +83,8 @@ def section_plot(folder: Path, width: int) -> Plot:
     parts = _parts(folder)
     every = np.concatenate([*parts.values()])
     plot = Plot(
-        PlotAxis(span(every[:, 0], 0.04), "along the transfer, km"),
-        PlotAxis(span(every[:, 1], 0.04), "over the target, km"),
+        PlotAxis(find_span(every[:, 0], 0.04), "along the transfer, km"),
+        PlotAxis(find_span(every[:, 1], 0.04), "over the target, km"),
         width=width,
         height=HALF if width == HALF else 520,
         equal=True,
@@ -119,7 +119,10 @@ def touchdown_plot(rows: Sequence[CsvRow]) -> Plot:
 def _speed_plot(rows: Sequence[CsvRow]) -> Plot:
     names = ("down_m_s", "side_m_s")
     x, y = (np.array([row.number(name) or 0.0 for row in rows]) for name in names)
-    axes = PlotAxis(span(x, 0.1), "down, m/s"), PlotAxis((0.0, 1.1 * float(y.max())), "across, m/s")
+    axes = (
+        PlotAxis(find_span(x, 0.1), "down, m/s"),
+        PlotAxis((0.0, 1.1 * float(y.max())), "across, m/s"),
+    )
     plot = Plot(*axes, width=HALF, height=HALF)
     plot.marks(x, y, "s1", "circle", 2.6)
     return plot

@@ -15,8 +15,8 @@ from optnav_cli.orbit.qso.settings import PASSES_CSV, PATHS_CSV, QSO_CSV
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.wording import format_json
 from optnav_cli.report import page as html
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet
-from optnav_cli.report.svg import HALF, Plot, PlotAxis, span
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
+from optnav_cli.report.svg import HALF, Plot, PlotAxis, find_span
 
 MAX_DRAWN = 4  # orbits whose rings are drawn
 SERIES = ("s1", "s2", "s3", "s5", "s4")
@@ -51,7 +51,7 @@ def qso_page(folder: Path) -> str:
         html.section("How it was made", html.listing(format_json(manifest))),
     ]
     words = f"{len(found)} orbits that pass one longitude always at the same distance"
-    return html.page("Quasi-satellite orbits", words, sections)
+    return html.build_page("Quasi-satellite orbits", words, sections)
 
 
 def qso_sheet(folder: Path) -> str:
@@ -72,7 +72,7 @@ def qso_sheet(folder: Path) -> str:
     title = f"A quasi-satellite orbit of {body.name.capitalize()}, {row['distance_km']} km over "
     title += f"{row['longitude_deg']}° E, in the frame that turns with it"
     legend = [LegendEntry("s1 thin", "path", ""), LegendEntry("s2", "start", "diamond", False)]
-    return sheet(title, legend, [panels])
+    return draw_sheet(title, legend, [panels])
 
 
 def ring_plot(path: FloatArray, radius_km: float, body: Body) -> Plot:
@@ -138,7 +138,10 @@ def _passes(folder: Path, rows: Sequence[CsvRow]) -> Iterator[Markup]:
     every = np.concatenate([*curves.values()])
     plots = []
     for column, label in ((1, "distance less that asked for, km"), (2, "rate − 1")):
-        axes = PlotAxis(span(every[:, 0], 0.03), "pass"), PlotAxis(span(every[:, column]), label)
+        axes = (
+            PlotAxis(find_span(every[:, 0], 0.03), "pass"),
+            PlotAxis(find_span(every[:, column]), label),
+        )
         plot = Plot(*axes, width=HALF, height=300)
         for kind, curve in zip(SERIES, curves.values(), strict=False):
             plot.line(curve[:, 0], curve[:, column], kind)

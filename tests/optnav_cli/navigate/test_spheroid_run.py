@@ -19,7 +19,7 @@ from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.tables import read_solutions, write_solutions
-from optnav_cli.report.ground_map import ground_plot
+from optnav_cli.report.ground_map import plot_ground
 from tests.optnav_cli.made_picks import rows_of, scene, write_picked
 from tests.optnav_cli.rows import solved
 
@@ -130,9 +130,9 @@ def test_layers_of_another_spheroid_have_its_ellipsoid(tmp_path):
 
 
 def test_the_map_of_a_spheroid_says_what_its_latitudes_are(run, tmp_path, make_run):
-    assert "Latitudes are geodetic." in str(ground_plot(read_run(run)))
+    assert "Latitudes are geodetic." in str(plot_ground(read_run(run)))
     make_run(tmp_path / "moon", count=3)
-    assert "geodetic" not in str(ground_plot(read_run(tmp_path / "moon")))
+    assert "geodetic" not in str(plot_ground(read_run(tmp_path / "moon")))
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ from catalog.store.writer import write_catalog
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.main import run
 from optnav_cli.report import body_sides
-from optnav_cli.report.body_sides import relief_corners, sides
-from optnav_cli.report.views import REASON_COLOURS, USABLE, bgr_of
+from optnav_cli.report.body_sides import draw_sides, mesh_relief
+from optnav_cli.report.views import REASON_COLOURS, USABLE, parse_colour
 from tests.optnav_cli.report.pages import a_catalog, report_of
 
 RADII_M = (13000.0, 11400.0, 9100.0)
@@ -65,7 +65,7 @@ def phobos(tmp_path):
 
 
 def test_the_relief_as_a_mesh_is_closed_and_as_large_as_the_ellipsoid():
-    corners = relief_corners(an_ellipsoid())
+    corners = mesh_relief(an_ellipsoid())
     mesh = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
     mesh.merge_vertices(digits_vertex=3)
     assert mesh.is_watertight
@@ -75,7 +75,7 @@ def test_the_relief_as_a_mesh_is_closed_and_as_large_as_the_ellipsoid():
 
 def test_points_are_where_the_viewer_has_them_and_hidden_behind_the_body(phobos):
     with Catalog.open(phobos) as catalog:
-        views = {side.name[:2]: side for side in sides(catalog, 60)}
+        views = {side.name[:2]: side for side in draw_sides(catalog, 60)}
         row = int(np.flatnonzero(np.isclose(catalog.lon_deg, 31.0))[0])
     lat, lon = np.radians(PLACES[0])
     x, y, z = xyz_from_latlon(lat, lon, ellipsoid_radius(lat, lon))
@@ -89,7 +89,7 @@ def test_points_are_where_the_viewer_has_them_and_hidden_behind_the_body(phobos)
 
 def test_each_side_is_as_wide_and_high_as_the_ellipsoid(phobos):
     with Catalog.open(phobos) as catalog:
-        views = sides(catalog, 150)
+        views = draw_sides(catalog, 150)
     along = {"x": 0, "y": 1, "z": 2}
     for side in views:
         pixel = 2.0 * side.half_m / 150
@@ -110,7 +110,7 @@ def test_show_draws_the_body_with_its_points_and_reasons(phobos, tmp_path, capsy
     tiles = picture[body_sides.HEAD_PX : -60]
     overhang = REASON_COLOURS[list(Flag).index(Flag.OVERHANG)]
     for colour in (USABLE, overhang):
-        assert (tiles == bgr_of(colour)).all(axis=2).sum() > 30
+        assert (tiles == parse_colour(colour)).all(axis=2).sum() > 30
 
 
 def test_the_report_of_a_small_body_shows_it_from_six_sides(phobos, tmp_path):

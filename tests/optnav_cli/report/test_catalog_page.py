@@ -15,8 +15,8 @@ from catalog.store.manifest import CatalogMeta, ComparisonMeta
 from catalog.store.reader import Catalog
 from optnav_cli.main import run
 from optnav_cli.pages import write_report
-from optnav_cli.report.catalog_maps import first_reasons
-from optnav_cli.report.catalog_page import catalog_page, quantities
+from optnav_cli.report.catalog_maps import find_first_reasons
+from optnav_cli.report.catalog_page import build_catalog_page, list_quantities
 from tests.catalog.store.written import write_points
 from tests.optnav_cli.report.pages import RADIUS_M, a_catalog, report_of
 
@@ -125,7 +125,7 @@ def test_places_that_were_never_checked_are_unknown_instead_of_free_of_shadows(t
     page = report_of(path, tmp_path)
     assert page.text.count("not known: 8") == 3
     with Catalog.open(path) as catalog:
-        by_heading = {quantity.heading: quantity.values for quantity in quantities(catalog)}
+        by_heading = {quantity.heading: quantity.values for quantity in list_quantities(catalog)}
         for heading in ("Recognition", "Uniqueness", "Shadow limits"):
             assert np.array_equal(np.isfinite(by_heading[heading]), catalog.usable)
         truth = catalog.records["shadow_limit_deg"][catalog.usable].max(axis=1)
@@ -140,7 +140,7 @@ def test_a_point_is_coloured_by_the_first_check_it_failed(tmp_path):
 
     path = a_catalog(tmp_path / "c.gpkg", count=6, change=change)
     with Catalog.open(path) as catalog:
-        assert first_reasons(catalog).tolist() == [1, 2, 4, 9, 0, 0]
+        assert find_first_reasons(catalog).tolist() == [1, 2, 4, 9, 0, 0]
     page = report_of(path, tmp_path)
     assert "no reason given: 1" in page.text
     assert "a patch has holes 1 16.7 % 0 1" in page.text
@@ -230,7 +230,7 @@ def test_a_page_about_all_cells_of_one_degree_stays_small_and_quick(tmp_path):
         records["localisation_nodes"] = np.random.default_rng(3).uniform(0.1, 0.5, count)
         whole = Catalog(path, catalog._db, replace(catalog.meta, count=count), records)
         started = time.process_time()
-        text = catalog_page(whole)
+        text = build_catalog_page(whole)
         seconds = time.process_time() - started
     assert len(text) < 10e6
     assert seconds < 20.0

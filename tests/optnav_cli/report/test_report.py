@@ -23,8 +23,8 @@ from optnav_cli.output.overlay import encode_overlay, overlay_path
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.pages import write_report
 from optnav_cli.reasons import ReasonCode
-from optnav_cli.report.error_plots import frames_of
-from optnav_cli.report.ground_map import ground_plot
+from optnav_cli.report.error_plots import collect_frames
+from optnav_cli.report.ground_map import plot_ground
 from tests.optnav_cli.output.approach import write_approach
 from tests.optnav_cli.report.browser import Browser
 from tests.optnav_cli.report.pages import a_catalog, report_of
@@ -97,13 +97,13 @@ def test_frames_more_than_ten_minutes_apart_are_not_joined(tmp_path, make_run):
 def test_the_map_of_a_wide_run_has_the_relief_of_the_bundled_moon(tmp_path, make_run):
     make_run(tmp_path / "run", count=4)
     run = read_run(tmp_path / "run")
-    assert "Relief" not in ground_plot(run)  # over 200 km it would be a blur
+    assert "Relief" not in plot_ground(run)  # over 200 km it would be a blur
     turned = Rotation.from_euler("z", [[0.0], [60.0], [120.0], [180.0]], degrees=True)
     far = [
         replace(s, outcome=replace(s.outcome, position_m=turn.apply(s.position_m)))
         for s, turn in zip(run.solutions, turned, strict=True)
     ]
-    drawn = ground_plot(replace(run, solutions=far))
+    drawn = plot_ground(replace(run, solutions=far))
     assert "bundled" in drawn
     assert 'class="pale"' in drawn
 
@@ -116,7 +116,7 @@ def test_the_map_has_the_relief_of_the_catalog_if_that_is_still_there(tmp_path, 
     named = [tmp_path / "gone.gpkg", foreign, crowded_catalog(tmp_path / "c.gpkg")]
     manifest = {"made_by": MADE_BY, "inputs": {"catalogs": [{"path": str(p)} for p in named]}}
     (folder / "manifest.json").write_text(json.dumps(manifest))
-    assert "own height grids" in ground_plot(read_run(folder))
+    assert "own height grids" in plot_ground(read_run(folder))
 
 
 def crowded_catalog(path):
@@ -383,7 +383,7 @@ def test_a_run_at_one_height_is_not_drawn_over_height(run, tmp_path):
 
 def test_errors_of_one_kind_are_drawn_with_their_signs(run, tmp_path):
     write_evaluation(evaluate_run(run, run / "truth.csv"), run)
-    frames = frames_of(read_run(run))
+    frames = collect_frames(read_run(run))
     errors = np.array([row.error_rnb_m for row in frames.rows if row.solved])
     assert errors.min() < 0.0 < errors.max()
     report_of(run, tmp_path)

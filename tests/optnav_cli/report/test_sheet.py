@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from catalog.errors import OutputError
-from optnav_cli.report.sheet import LegendEntry, Panel, sheet, write_sheet
-from optnav_cli.report.svg import SHAPES, Plot, PlotAxis, mark
+from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet, write_sheet
+from optnav_cli.report.svg import SHAPES, Plot, PlotAxis, draw_mark
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -22,7 +22,7 @@ def a_plot(width=300):
 def test_panels_stand_side_by_side_below_the_legend_and_inside_the_picture():
     legend = [LegendEntry("s1 dashed", f"series {n} of some length") for n in range(6)]
     rows = [[Panel("left", a_plot(), "l"), Panel("right < left", a_plot(), "r")]]
-    root = ET.fromstring(sheet("A & B", legend, rows))
+    root = ET.fromstring(draw_sheet("A & B", legend, rows))
     width, height = float(root.get("width")), float(root.get("height"))
     plots = root.findall(f"{SVG}svg")
     left, right = ([float(p.get(k)) for k in ("x", "y", "width", "height")] for p in plots)
@@ -48,7 +48,7 @@ def test_what_is_not_finite_gets_no_mark_and_titles_are_escaped():
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_every_shape_lies_about_its_place(shape):
-    text = mark(50.0, 20.0, "s2", shape, 4.0)
+    text = draw_mark(50.0, 20.0, "s2", shape, 4.0)
     ET.fromstring(text)
     assert "s2" in text
     if shape in ("square", "diamond", "triangle", "down"):
@@ -59,7 +59,7 @@ def test_every_shape_lies_about_its_place(shape):
 
 
 def test_a_picture_replaces_its_forerunner_and_nothing_else(tmp_path):
-    picture = sheet("t", [], [[Panel("h", a_plot(), "d")]])
+    picture = draw_sheet("t", [], [[Panel("h", a_plot(), "d")]])
     for _ in range(2):
         write_sheet(picture, tmp_path / "study.svg")
     (tmp_path / "mine.svg").write_text("<svg/>")

@@ -6,7 +6,14 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from optnav_cli.report.svg import Plot, PlotAxis, log_ticks, number_text, span, ticks
+from optnav_cli.report.svg import (
+    Plot,
+    PlotAxis,
+    choose_log_ticks,
+    choose_ticks,
+    find_span,
+    format_number,
+)
 from optnav_cli.report.views import GroundMap
 
 
@@ -19,25 +26,25 @@ from optnav_cli.report.views import GroundMap
     ],
 )
 def test_ticks_are_round_numbers_inside_the_range(low, high, expected):
-    assert ticks(low, high) == pytest.approx(expected)
+    assert choose_ticks(low, high) == pytest.approx(expected)
 
 
 def test_ticks_of_logarithms_say_what_they_stand_for():
-    places, numbers = zip(*log_ticks(-1.1, 0.4), strict=True)
+    places, numbers = zip(*choose_log_ticks(-1.1, 0.4), strict=True)
     assert numbers == (0.1, 0.2, 0.5, 1.0, 2.0)
     assert places == pytest.approx(np.log10(numbers))
-    assert [number for _, number in log_ticks(-2.5, 1.5)] == [0.01, 0.1, 1.0, 10.0]
+    assert [number for _, number in choose_log_ticks(-2.5, 1.5)] == [0.01, 0.1, 1.0, 10.0]
     drawing = Plot(PlotAxis((-1.1, 0.4), log=True), (0.0, 1.0)).svg("counts")
     assert ">0.2</text>" in drawing
 
 
 def test_a_tick_says_minus_and_no_trailing_digits():
-    assert number_text(-0.30000000000000004) == "\N{MINUS SIGN}0.3"
+    assert format_number(-0.30000000000000004) == "\N{MINUS SIGN}0.3"
 
 
 def test_the_span_of_nothing_and_of_one_value_can_be_drawn():
-    assert span([]) == (0.0, 1.0)
-    plot = Plot(span([5.0]), span([np.nan]))
+    assert find_span([]) == (0.0, 1.0)
+    plot = Plot(find_span([5.0]), find_span([np.nan]))
     assert plot.x == (4.5, 5.5)
 
 
@@ -76,7 +83,7 @@ def test_equal_axes_give_a_metre_the_same_length_both_ways():
 def test_a_regional_map_is_in_kilometres_about_its_middle_even_across_180_degrees(lon0):
     lat = np.array([-44.0, -43.0, -42.0])
     lon = lon0 + np.array([-1.0, 0.0, 1.0])
-    ground = GroundMap.about(lat, np.where(lon > 180.0, lon - 360.0, lon), 1737400.0)
+    ground = GroundMap.fit(lat, np.where(lon > 180.0, lon - 360.0, lon), 1737400.0)
     assert ground.regional
     x, y = ground.places(lat, lon)
     # One degree of latitude is 30.32 km on the Moon.
@@ -87,6 +94,6 @@ def test_a_regional_map_is_in_kilometres_about_its_middle_even_across_180_degree
 
 def test_places_all_over_a_body_get_a_plain_grid():
     lat, lon = np.array([-60.0, 0.0, 60.0]), np.array([-170.0, 0.0, 350.0])
-    ground = GroundMap.about(lat, lon, 1737400.0)
+    ground = GroundMap.fit(lat, lon, 1737400.0)
     assert not ground.regional
     np.testing.assert_allclose(ground.places(lat, lon)[0], [-170.0, 0.0, -10.0])
