@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from catalog.jobs.workers import available_cores
+
 CHECKOUT = Path(__file__).resolve().parents[1]
 KERNELS = (
     "pck00011.tpc",
@@ -19,6 +21,12 @@ KERNELS = (
 # A shell's background job ignores ctrl-c, and so would the commands that tests start and interrupt.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Run one process more than cores, as many tests wait for commands that they start."""
+    return available_cores() + 1
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
