@@ -29,15 +29,10 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.config import Positive, load_toml, resource
-from catalog.correlation.ncc import (
-    apply_remainder,
-    crop,
-    cut_match,
-    filter_high_pass_quickly,
-    filter_low_pass,
-)
-from catalog.correlation.peak import (
-    Match,
+from catalog.correlation.filters import crop, filter_high_pass_quickly, filter_low_pass
+from catalog.correlation.ncc import apply_remainder, cut_match
+from catalog.correlation.peak import Match
+from catalog.correlation.remainder import (
     Prior,
     WeightedFit,
     fit_plain,

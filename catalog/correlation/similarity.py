@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.ncc import Filtered, filter_grid, filter_high_pass, match_in, match_ncc
+from catalog.correlation.filters import Filtered, filter_grid, filter_high_pass
+from catalog.correlation.ncc import match_in, match_ncc
 from catalog.correlation.peak import Match
 from catalog.geometry.kernel import inplace_kernel, kernel
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from catalog.arrays import Float32Array
 from catalog.control_point import Patch
-from catalog.correlation.ncc import blur_nodes
+from catalog.correlation.filters import blur_nodes
 from catalog.geometry.projection import MapProjection, Stereographic
 from catalog.pipeline.context import StageContext
 from catalog.rendering.sun_samples import sun_samples

@@ -27,7 +27,7 @@ import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.ncc import HIGH_PASS_NODES, filter_high_pass
+from catalog.correlation.filters import HIGH_PASS_NODES, filter_high_pass
 from catalog.correlation.surf64 import compute_self_similarity_surface
 from catalog.geometry.kernel import inplace_kernel, kernel
 

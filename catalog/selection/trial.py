@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.ncc import choose_thinning, downsample_blurred, match_ncc
+from catalog.correlation.filters import choose_thinning, downsample_blurred
+from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import match_similarity
 from catalog.geometry.kernel import kernel
 from catalog.rendering.map_view import render_levels, render_map_quickly

@@ -22,7 +22,8 @@ from scipy.special import chdtri, gammaln
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.config import Positive, load_toml, resource
-from catalog.correlation.ncc import correlated, filter_grid
+from catalog.correlation.filters import filter_grid
+from catalog.correlation.ncc import correlate_grids
 from catalog.geometry.vectors import squared_distance
 from optnav_cli.control_points.point_match import CHANCE_NODES_PER_SAMPLE
 from optnav_cli.estimation.resection import Resection
@@ -226,7 +227,7 @@ def point_light(
     image = filter_grid(window, margin_nodes=margin_nodes)
     pair = [filter_grid(grid, margin_nodes=margin_nodes) for grid in (template, aside)]
     # what has no contrast scores -1
-    first, second = (np.where(c > -1.0, c, 0.0) for c in (correlated(g, image) for g in pair))
+    first, second = (np.where(c > -1.0, c, 0.0) for c in (correlate_grids(g, image) for g in pair))
     values = [grid.values - grid.values.mean() for grid in pair]
     size = [float(np.sqrt(np.mean(grid**2))) for grid in values]
     if min(size) <= max(grid.floor for grid in pair):

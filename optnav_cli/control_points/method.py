@@ -12,7 +12,12 @@ from itertools import compress
 import numpy as np
 from scipy.linalg import block_diag
 
-from catalog.correlation.ncc import blur_nodes, choose_thinning, crop, downsample_blurred
+from catalog.correlation.filters import (
+    blur_nodes,
+    choose_thinning,
+    crop,
+    downsample_blurred,
+)
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance, unit

@@ -7,14 +7,16 @@ from functools import cached_property
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
-from catalog.correlation.ncc import (
-    add_remainder_covariance,
+from catalog.correlation.filters import (
     choose_thinning,
     crop,
-    cut_match,
     downsample_blurred,
     filter_grid_quickly,
     filter_low_pass,
+)
+from catalog.correlation.ncc import (
+    add_remainder_covariance,
+    cut_match,
     match_cut,
     match_ncc,
 )

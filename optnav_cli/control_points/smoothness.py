@@ -8,7 +8,7 @@ picture shows that relief. Rounding of their counts adds stripes.
 import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
-from catalog.correlation.ncc import crop, filter_high_pass_quickly
+from catalog.correlation.filters import crop, filter_high_pass_quickly
 
 # Along each side of the surface over the picture that is taken out: ground in 48 to 96 nodes keeps
 # 0.85 to 1.00 of its variance without it, smooth fields little but rounding.

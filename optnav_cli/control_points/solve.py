@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.correlation.ncc import blur_nodes, choose_thinning
+from catalog.correlation.filters import blur_nodes, choose_thinning
 from catalog.correlation.peak import RIVAL_DISTANCE
 from catalog.correlation.relief_albedo import ReliefAlbedo, estimate_strengths
 from catalog.errors import NoSolutionError

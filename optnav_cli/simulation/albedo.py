@@ -18,7 +18,7 @@ from rasterio.enums import ColorInterp
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
-from catalog.correlation.ncc import filter_low_pass
+from catalog.correlation.filters import filter_low_pass
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.kernel import parallel_kernel

@@ -19,7 +19,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.config import resource, toml_text
-from catalog.correlation.ncc import filter_high_pass
+from catalog.correlation.filters import filter_high_pass
 from catalog.correlation.relief_albedo import (
     FILE,
     ReliefAlbedo,

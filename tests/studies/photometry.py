@@ -19,7 +19,7 @@ import numpy as np
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import load_body
 from catalog.config import resource
-from catalog.correlation.ncc import filter_high_pass
+from catalog.correlation.filters import filter_high_pass
 from catalog.correlation.peak import locate_peak
 from catalog.geometry.projection import Stereographic, make_node_grid
 from catalog.progress import Progress

@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
-from catalog.correlation.ncc import crop, filter_grid_quickly, match_cut
+from catalog.correlation.filters import crop, filter_grid_quickly
+from catalog.correlation.ncc import match_cut
 from catalog.geometry.projection import make_node_grid
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from catalog.correlation.ncc import (
+from catalog.correlation.filters import (
     blur_nodes,
     choose_thinning,
     crop,

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from catalog.correlation.filters import filter_grid
 from catalog.correlation.ncc import (
     add_remainder_covariance,
-    filter_grid,
     match_cut,
     match_masked,
     match_ncc,

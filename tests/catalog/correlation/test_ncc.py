@@ -6,23 +6,16 @@ import pytest
 import scipy.fft
 from scipy import ndimage
 
+from catalog.correlation.filters import crop, filter_grid, filter_high_pass
 from catalog.correlation.ncc import (
     _correlate_quickly,
     add_remainder_covariance,
-    correlated,
-    crop,
-    filter_grid,
-    filter_high_pass,
+    correlate_grids,
     match_in,
     match_ncc,
 )
-from catalog.correlation.peak import (
-    LAG_NODES,
-    RIVAL_DISTANCE,
-    _smooth_spectrum,
-    locate_peak,
-    refine_by_remainder,
-)
+from catalog.correlation.peak import RIVAL_DISTANCE, locate_peak
+from catalog.correlation.remainder import LAG_NODES, _smooth_spectrum, refine_by_remainder
 from catalog.correlation.similarity import (
     match_similarity,
     rotate_and_scale,
@@ -111,7 +104,7 @@ def test_scores_over_flat_parts_of_a_search_are_void_and_the_others_are_opencv_s
     search = cut(field, 96) * np.float32(1e-9) + np.float32(0.5)
     search[60:, 60:] = cut(field, 36)
     reference = cut(field, 32)
-    found = correlated(filter_grid(reference), filter_grid(search))
+    found = correlate_grids(filter_grid(reference), filter_grid(search))
     image, template = filter_high_pass(search), filter_high_pass(reference)
     power = cv2.boxFilter(image * image, -1, (32, 32), anchor=(0, 0))[:65, :65]
     flat = power <= (1e-5 * np.abs(search).max()) ** 2
@@ -167,7 +160,7 @@ def test_a_peak_on_the_border_of_the_search_has_no_finite_covariance():
 
 def test_grids_that_cannot_be_centred_are_refused():
     with pytest.raises(ValueError, match="centred"):
-        correlated(*(filter_grid(np.zeros((n, n), np.float32)) for n in (32, 41)))
+        correlate_grids(*(filter_grid(np.zeros((n, n), np.float32)) for n in (32, 41)))
 
 
 def test_roll_and_scale_are_found_together_with_the_shift():

@@ -7,7 +7,7 @@ import pytest
 import rasterio
 
 from catalog.config import resource
-from catalog.correlation.ncc import filter_high_pass
+from catalog.correlation.filters import filter_high_pass
 from catalog.errors import ConfigError
 from catalog.geometry.projection import Stereographic, make_node_grid
 from catalog.photometry import hapke

@@ -6,7 +6,7 @@ import pytest
 import rasterio
 
 from catalog.config import resource
-from catalog.correlation.ncc import HIGH_PASS_NODES, filter_high_pass
+from catalog.correlation.filters import HIGH_PASS_NODES, filter_high_pass
 from catalog.rendering.map_view import render_map
 from catalog.selection.localisation import (
     azimuth_products,

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.control_point import ControlPoint, Patch
-from catalog.correlation.ncc import blur_nodes, match_ncc
+from catalog.correlation.filters import blur_nodes
+from catalog.correlation.ncc import match_ncc
 from catalog.geometry.ellipsoid import find_foot
 from catalog.rendering.mesh_scene import MeshScene
 from catalog.terrain.dem.file import resolve_path

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from catalog.correlation.ncc import downsample_blurred
+from catalog.correlation.filters import downsample_blurred
 from optnav_cli.control_points.point_match import thin_pixels
 from optnav_cli.control_points.smoothness import find_count_step, shows_ground
 from tests.studies.smooth_pictures import BITS, KINDS, draw_smooth_picture
