@@ -275,7 +275,7 @@ class _Block:
 
     inverse   (6, 6) of the pose's own block;  gain (6, k) change of the pose with the common
     reduced   (k, k) and reduced_gradient (k,) what the frame adds to those of the common numbers
-    scores    (n, k) of its matches, and own (n, k, k) what they would be by chance, as a product
+    scores    (n, k) of its matches;  chance (n, k, k) their products by chance
     """
 
     inverse: FloatArray
@@ -284,7 +284,7 @@ class _Block:
     reduced: FloatArray
     reduced_gradient: FloatArray
     scores: FloatArray
-    own: FloatArray
+    chance: FloatArray
 
     @classmethod
     def eliminate_pose(
@@ -419,7 +419,7 @@ def _add_shared_points(
         return 1.0, covariance
     points = np.concatenate([frame.points for frame in frames])
     scores = np.concatenate([block.scores for block in blocks])
-    chance = np.sum([block.own.sum(axis=0) for block in blocks], axis=0)
+    chance = np.sum([block.chance.sum(axis=0) for block in blocks], axis=0)
     _, of = np.unique(points, return_inverse=True)
     sums = np.zeros((int(of.max(initial=-1)) + 1, scores.shape[1]))
     np.add.at(sums, of, scores)

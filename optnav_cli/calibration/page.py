@@ -49,7 +49,7 @@ def build_calibration_page(folder: Path) -> str:
         html.section("What is not told apart", *map(html.paragraph, notes or ["Nothing."])),
         html.section("Correlations", correlations),
         html.section("Residuals", *_plot_residuals(folder)),
-        html.section("Made from", html.listing(read_manifest(folder))),
+        html.section("Made from", html.format_listing(read_manifest(folder))),
     ]
     subtitle = "Lens, mounting and clock by control points."
     return html.build_page(f"Calibration {folder.resolve().name}", subtitle, sections)

@@ -41,7 +41,7 @@ def build_cylinder_page(folder: Path) -> str:
         html.section("Result", html.tiles(numbers)),
         html.section("Motion", html.figure(html.side_by_side("triple", drawn), words, keys)),
         html.section("Pictures", html.table(HEADER, [_format_cells(row) for row in rows], 2)),
-        html.section("How it was made", html.listing(format_json(manifest))),
+        html.section("How it was made", html.format_listing(format_json(manifest))),
     ]
     return html.build_page("A lit cylinder", f"{len(rows)} pictures", sections)
 
@@ -147,7 +147,7 @@ def _read_radius(manifest: dict[str, object]) -> float:
 
 
 def _format_cells(row: CsvRow) -> tuple[str, ...]:
-    def shown(name: str, form: str, scale: float = 1.0) -> str:
+    def format_value(name: str, form: str, scale: float = 1.0) -> str:
         value = row.number(name)
         return "" if value is None else format(scale * value, form)
 
@@ -155,7 +155,12 @@ def _format_cells(row: CsvRow) -> tuple[str, ...]:
     if row["vx_m_s"]:
         speed = f"{1e3 * np.hypot(row.number('vx_m_s') or 0.0, row.number('vy_m_s') or 0.0):.1f}"
     return (
-        *(row["file"], row["zone"], shown("d_m", ".4f"), shown("d_sigma_m", ".2f", 1e3)),
-        *(shown("theta_deg", ".2f"), shown("theta_sigma_deg", ".2f")),
-        *(speed, shown("v_sigma_m_s", ".2f", 1e3), row["reason"]),
+        *(
+            row["file"],
+            row["zone"],
+            format_value("d_m", ".4f"),
+            format_value("d_sigma_m", ".2f", 1e3),
+        ),
+        *(format_value("theta_deg", ".2f"), format_value("theta_sigma_deg", ".2f")),
+        *(speed, format_value("v_sigma_m_s", ".2f", 1e3), row["reason"]),
     )

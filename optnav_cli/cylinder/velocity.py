@@ -125,9 +125,9 @@ def compute_velocity(
 ) -> tuple[float, float, float]:
     """Weigh places (n,) by weights (n,), 1/s: a velocity, m/s, and its sigma per component."""
     pairs = list(zip(weights, places, strict=True))
-    velocity = np.sum([weight * place.position for weight, place in pairs], axis=0)
-    variance_of_noise = sum(weight**2 * float(np.trace(place.noise)) for weight, place in pairs)
-    common = np.sum([weight * place.by_theta for weight, place in pairs], axis=0)
-    cloth = np.sum([weight * place.by_cloth for weight, place in pairs], axis=0)
+    velocity = np.sum([weight * located.position for weight, located in pairs], axis=0)
+    variance_of_noise = sum(weight**2 * float(np.trace(located.noise)) for weight, located in pairs)
+    common = np.sum([weight * located.by_theta for weight, located in pairs], axis=0)
+    cloth = np.sum([weight * located.by_cloth for weight, located in pairs], axis=0)
     variance = variance_of_noise + float(np.sum(common**2) + np.sum(cloth**2))
     return float(velocity[0]), float(velocity[1]), math.sqrt(variance / 2.0)

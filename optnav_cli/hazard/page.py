@@ -42,7 +42,7 @@ def make_hazard_page(folder: Path) -> str:
         html.section("Result", html.tiles(numbers)),
         html.section("Maps", *_show_pictures(folder)),
         html.section("Pads", html.folded(f"{len(rows)} squares", table)),
-        html.section("How it was made", html.listing(format_json(manifest))),
+        html.section("How it was made", html.format_listing(format_json(manifest))),
     ]
     words = f"{len(chosen)} pads on the ground of {len(files)} pictures"
     return html.build_page("Hazard map", words, sections)

@@ -336,4 +336,4 @@ def _made_from(folder: Path) -> Markup:
         manifest = read_manifest(folder)
     except DataError as error:
         return html.section("Made from", html.paragraph(str(error), "note"))
-    return html.section("Made from", html.folded("manifest.json", html.listing(manifest)))
+    return html.section("Made from", html.folded("manifest.json", html.format_listing(manifest)))

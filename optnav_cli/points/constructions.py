@@ -34,7 +34,7 @@ CircleGround = Literal["map", "flat", "tangent"]
 
 @dataclass(frozen=True, eq=False)
 class Picks:
-    """What constructions take: places (n, 3), m, and points (n, 2) of the plane at distance 1.
+    """Picked points: places (n, 3), m, and image points (n, 2) of the plane at distance 1.
 
     half_side  tangent of the angle from the middle to the nearer side of the picture
     """

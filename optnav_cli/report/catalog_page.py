@@ -255,7 +255,7 @@ def _list_origin(catalog: Catalog) -> Markup:
     else:
         parts.append(html.paragraph("The catalog does not name its terrain models."))
     if meta.config:
-        parts.append(html.folded("Build config", html.listing(meta.config)))
+        parts.append(html.folded("Build config", html.format_listing(meta.config)))
     return html.section("Made from", *parts)
 
 

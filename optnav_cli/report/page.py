@@ -84,7 +84,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], text_columns: in
     return _fill_block("table", header, rows, text_columns)
 
 
-def listing(values: Mapping[str, Any] | str) -> Markup:
+def format_listing(values: Mapping[str, Any] | str) -> Markup:
     """A manifest or a config as it stands."""
     text = values if isinstance(values, str) else json.dumps(values, indent=2, ensure_ascii=False)
     return _fill_block("listing", text)

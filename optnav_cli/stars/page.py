@@ -36,7 +36,7 @@ def build_stars_page(folder: Path) -> str:
         html.section("Pictures", html.anchor("pictures"), html.paragraph(words), *notes, shown),
         html.section("Attitudes", html.table(HEADER, [_format_cells(row) for row in solved], 2)),
         _list_unsolved(lost),
-        html.section("Made from", html.folded("manifest.json", html.listing(manifest))),
+        html.section("Made from", html.folded("manifest.json", html.format_listing(manifest))),
     ]
     subtitle = f"{len(rows)} pictures, {len(solved)} solved. Attitudes are camera_from_inertial."
     return html.build_page(f"Stars: run {folder.resolve().name}", subtitle, filter(None, sections))
@@ -49,12 +49,12 @@ def _list_unsolved(rows: Sequence[tuple[str, str, str]]) -> Markup:
 
 
 def _format_cells(row: CsvRow) -> tuple[str, ...]:
-    def shown(name: str, form: str) -> str:
+    def format_value(name: str, form: str) -> str:
         value = row.number(name)
         return "" if value is None else format(value, form)
 
     return (
-        *(row["file"], row["utc"], shown("n_used", ".0f"), shown("n_spots", ".0f")),
-        *(shown("residual_rms_px", ".3f"), shown("sigma_x_arcsec", ".2f")),
-        *(shown("sigma_z_arcsec", ".2f"), shown("chance", ".0e")),
+        *(row["file"], row["utc"], format_value("n_used", ".0f"), format_value("n_spots", ".0f")),
+        *(format_value("residual_rms_px", ".3f"), format_value("sigma_x_arcsec", ".2f")),
+        *(format_value("sigma_z_arcsec", ".2f"), format_value("chance", ".0e")),
     )

@@ -53,7 +53,7 @@ def delivery_page(folder: Path) -> str:
         html.section("Result", html.tiles(tiles)),
         html.section("Arrival", html.figure(html.side_by_side("pair", pair), words, keys)),
         html.section("Corrections", dv, html.table(HEADER, [_cells(row) for row in rows])),
-        html.section("How it was made", html.listing(format_json(manifest))),
+        html.section("How it was made", html.format_listing(format_json(manifest))),
     ]
     return html.build_page(
         f"Delivery to {target.capitalize()}", "Bounds and trials of an arrival", sections

@@ -115,7 +115,7 @@ def orbit_page(folder: Path) -> str:
         html.section("Covariances", _ellipses(drawn)),
         html.section("Parameters", _parameters(orbit)),
         html.section("Ground track", _track(drawn)),
-        html.section("How it was made", html.listing(format_json(read_manifest(folder)))),
+        html.section("How it was made", html.format_listing(format_json(read_manifest(folder)))),
     ]
     words = f"{orbit.body.name.capitalize()}, {first} to {last}"
     return html.build_page(f"An orbit through {_measured(drawn)}", words, sections)

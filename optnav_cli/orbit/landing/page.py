@@ -58,7 +58,7 @@ def landing_page(folder: Path) -> str:
     sections += [
         html.section("Impulse", html.table(("step", "left to find, m/s"), impulse)),
         html.section("Trials", html.folded(f"{len(rows)} trials", table)),
-        html.section("How it was made", html.listing(format_json(manifest))),
+        html.section("How it was made", html.format_listing(format_json(manifest))),
     ]
     return html.build_page("Landing", f"{len(landed)} of {len(rows)} trials land", sections)
 

@@ -48,7 +48,7 @@ def qso_page(folder: Path) -> str:
         html.section("Rings", *_rings(found, paths, _moon(manifest))),
         html.section("Passes of the longitude", *_passes(folder, found)),
         html.section("Orbits", html.table(HEADER, [_cells(row) for row in rows])),
-        html.section("How it was made", html.listing(format_json(manifest))),
+        html.section("How it was made", html.format_listing(format_json(manifest))),
     ]
     words = f"{len(found)} orbits that pass one longitude always at the same distance"
     return html.build_page("Quasi-satellite orbits", words, sections)
