@@ -26,13 +26,13 @@ class Cache(Generic[K, V]):
             self._things.move_to_end(key)
             return self._things[key]
         if self._size is None:  # room is made first, so that never more than the bound is there
-            self._let_go(self._bound - 1, left=0)
+            self._drop_oldest(self._bound - 1, left=0)
         made = self._things[key] = make()
         self.held += self._weight(made)
-        self._let_go(self._bound, left=1)
+        self._drop_oldest(self._bound, left=1)
         return made
 
-    def _let_go(self, bound: int, left: int) -> None:
+    def _drop_oldest(self, bound: int, left: int) -> None:
         while self.held > bound and len(self._things) > left:
             self.held -= self._weight(self._things.popitem(last=False)[1])
 

@@ -56,10 +56,10 @@ def load_toml(path: str | Path, type_: type[T]) -> T:
     Raises ConfigError, naming file, section and key, for a file that cannot be read, is not TOML
     or does not fit the type.
     """
-    return parse_toml(toml_text(Path(path)), type_, path)
+    return parse_toml(read_toml_text(Path(path)), type_, path)
 
 
-def toml_text(path: Path) -> str:
+def read_toml_text(path: Path) -> str:
     """The text of a TOML file. Raises ConfigError for a file that cannot be read as text."""
     raw = read_input(path, error=ConfigError, limit=MAX_CONFIG_BYTES)
     try:
@@ -83,9 +83,9 @@ def parse_toml(text: str, type_: type[T], where: str | Path) -> T:
     except ValueError as error:  # of a number with thousands of digits, too
         raise ConfigError(f"{where}: not valid TOML: {error}") from None
     info = inspect.type_info(type_)
-    for steps, problem in _never_valid(data, ()):
-        raise ConfigError(f"{where}: {_place(steps)} {problem}")
-    for problem in _unknown_keys(info, data, (), info):
+    for steps, problem in _find_invalid_values(data, ()):
+        raise ConfigError(f"{where}: {_format_location(steps)} {problem}")
+    for problem in _find_unknown_keys(info, data, (), info):
         raise ConfigError(f"{where}: {problem}")
     try:
         return msgspec.convert(data, type_)
@@ -116,7 +116,7 @@ def resource(name: str) -> Path:
     raise ConfigError(f"optnav ships no file {name!r}; {known}")
 
 
-def named_config(path: Path, kind: str) -> Path:
+def resolve_config(path: Path, kind: str) -> Path:
     """A config file as people name it: "bundled:demo" is one that ships with optnav, of a kind.
 
     Raises ConfigError, naming those that ship, for another one.
@@ -139,27 +139,27 @@ def nearest_name(name: str, known: list[str]) -> str | None:
 Steps = tuple[str | int, ...]
 
 
-def _unknown_keys(
+def _find_unknown_keys(
     info: inspect.Type, value: Any, steps: Steps, root: inspect.Type
 ) -> Iterator[str]:
     """Say of each key in the data that the types do not have where it stands and what is near."""
     if isinstance(info, inspect.UnionType):
         parts = [part for part in info.types if _is_container(part, value)]
         if len(parts) == 1:
-            yield from _unknown_keys(parts[0], value, steps, root)
+            yield from _find_unknown_keys(parts[0], value, steps, root)
     elif isinstance(info, inspect.StructType) and isinstance(value, dict):
         fields = {field.encode_name: field.type for field in info.fields}
         for key, child in value.items():
             if key in fields:
-                yield from _unknown_keys(fields[key], child, (*steps, key), root)
+                yield from _find_unknown_keys(fields[key], child, (*steps, key), root)
             elif key != info.tag_field:
-                yield _unknown_message(key, child, list(fields), steps, root)
+                yield _explain_unknown_key(key, child, list(fields), steps, root)
     elif isinstance(info, inspect.DictType) and isinstance(value, dict):
         for key, child in value.items():
-            yield from _unknown_keys(info.value_type, child, (*steps, key), root)
+            yield from _find_unknown_keys(info.value_type, child, (*steps, key), root)
     elif isinstance(info, inspect.ListType | inspect.VarTupleType) and isinstance(value, list):
         for number, child in enumerate(value):
-            yield from _unknown_keys(info.item_type, child, (*steps, number), root)
+            yield from _find_unknown_keys(info.item_type, child, (*steps, number), root)
 
 
 def _is_container(info: inspect.Type, value: Any) -> bool:
@@ -170,36 +170,37 @@ def _is_container(info: inspect.Type, value: Any) -> bool:
     return isinstance(info, inspect.DictType) and isinstance(value, dict)
 
 
-def _unknown_message(
+def _explain_unknown_key(
     key: str, value: Any, known: list[str], steps: Steps, root: inspect.Type
 ) -> str:
     kind = "section" if isinstance(value, dict) else "setting"
     shown = f"[{key}]" if kind == "section" and not steps else repr(key)
-    message = f"{_section(steps) or 'it'} has no {kind} {shown}"
+    message = f"{_format_section(steps) or 'it'} has no {kind} {shown}"
     near = nearest_name(key, known)
     if near:
         meant = f"[{near}]" if shown.startswith("[") else repr(near)
         return f"{message}; did you mean {meant}?"
-    elsewhere = [known_steps for known_steps in _all_settings(root, ()) if known_steps[-1] == key]
+    elsewhere = [known_steps for known_steps in _list_settings(root, ()) if known_steps[-1] == key]
     if elsewhere:
-        return f"{message}; it belongs to {_section(elsewhere[0][:-1]) or 'the top of the file'}"
+        home = _format_section(elsewhere[0][:-1]) or "the top of the file"
+        return f"{message}; it belongs to {home}"
     return f"{message}; it knows {', '.join(sorted(known))}"
 
 
-def _all_settings(info: inspect.Type, steps: Steps) -> Iterator[Steps]:
+def _list_settings(info: inspect.Type, steps: Steps) -> Iterator[Steps]:
     """Every setting of the types that one could write into the file."""
     if isinstance(info, inspect.UnionType):
         for part in info.types:
-            yield from _all_settings(part, steps)
+            yield from _list_settings(part, steps)
     elif isinstance(info, inspect.ListType | inspect.VarTupleType):
-        yield from _all_settings(info.item_type, (*steps, 0))
+        yield from _list_settings(info.item_type, (*steps, 0))
     elif isinstance(info, inspect.StructType):
         for field in info.fields:
             yield (*steps, field.encode_name)
-            yield from _all_settings(field.type, (*steps, field.encode_name))
+            yield from _list_settings(field.type, (*steps, field.encode_name))
 
 
-def _never_valid(value: Any, steps: Steps) -> Iterator[tuple[Steps, str]]:
+def _find_invalid_values(value: Any, steps: Steps) -> Iterator[tuple[Steps, str]]:
     """Yield path and fault of values that no setting can have: not finite, too large, too deep."""
     if isinstance(value, float) and not math.isfinite(value):
         yield steps, "must be a finite number"
@@ -211,13 +212,13 @@ def _never_valid(value: Any, steps: Steps) -> Iterator[tuple[Steps, str]]:
         yield steps[:3], f"holds more than {MAX_DEPTH} lists or sections in each other"
     elif isinstance(value, dict):
         for key, child in value.items():
-            yield from _never_valid(child, (*steps, key))
+            yield from _find_invalid_values(child, (*steps, key))
     elif isinstance(value, list):
         for number, child in enumerate(value):
-            yield from _never_valid(child, (*steps, number))
+            yield from _find_invalid_values(child, (*steps, number))
 
 
-def _section(steps: Steps) -> str:
+def _format_section(steps: Steps) -> str:
     """The heading of a section as TOML writes it; "" at the top of the file."""
     if not steps:
         return ""
@@ -227,11 +228,11 @@ def _section(steps: Steps) -> str:
     return f"[{names}]"
 
 
-def _place(steps: Steps) -> str:
+def _format_location(steps: Steps) -> str:
     """Section and setting of a value: "[grid] cell_deg", "[camera] principal_point_px, item 2"."""
     if steps and isinstance(steps[-1], int):
-        return f"{_place(steps[:-1])}, item {steps[-1] + 1}"
-    return f"{_section(steps[:-1])} {steps[-1] if steps else 'the file'}".lstrip()
+        return f"{_format_location(steps[:-1])}, item {steps[-1] + 1}"
+    return f"{_format_section(steps[:-1])} {steps[-1] if steps else 'the file'}".lstrip()
 
 
 def _explain(message: str, info: inspect.Type, data: Any) -> str:
@@ -243,13 +244,15 @@ def _explain(message: str, info: inspect.Type, data: Any) -> str:
     )
     missing = re.match(r"Object missing required field `(.+)`", text)
     if missing:
-        return _missing_message(missing[1], info, steps)
-    value = _value_at(data, steps)
-    shown_value = "" if value is None or isinstance(value, dict | list) else f" = {_toml(value)}"
-    subject = f"{_place(steps)}{shown_value}"
+        return _explain_missing(missing[1], info, steps)
+    value = _find_value(data, steps)
+    shown_value = (
+        "" if value is None or isinstance(value, dict | list) else f" = {_format_value(value)}"
+    )
+    subject = f"{_format_location(steps)}{shown_value}"
     expected = _EXPECTED.match(text)
     if expected and expected[1] == "array" and isinstance(value, dict):
-        name = _section(steps)
+        name = _format_section(steps)
         return f"{name} is one section; wanted a list of them: write [{name}] for each"
     if expected:
         kinds = [_KINDS.get(kind, kind) for kind in expected[1].split(" | ") if kind != "null"]
@@ -259,47 +262,47 @@ def _explain(message: str, info: inspect.Type, data: Any) -> str:
         got = f"; it is {known}" if known else ""
         return f"{subject}: must be {wanted}{got}"
     if text.startswith("Invalid enum value"):
-        choices = sorted(str(choice) for choice in _choices(_type_at(info, steps)))
+        choices = sorted(str(choice) for choice in _list_choices(_find_type(info, steps)))
         near = nearest_name(str(value), choices)
         hint = f"; did you mean {near!r}?" if near else ""
         return f"{subject}: must be one of {', '.join(choices)}{hint}"
-    if isinstance(_type_at(info, steps), inspect.StructType):
-        subject = _section(steps)
+    if isinstance(_find_type(info, steps), inspect.StructType):
+        subject = _format_section(steps)
     return f"{subject}: {text}" if subject else text
 
 
-def _missing_message(key: str, info: inspect.Type, steps: Steps) -> str:
-    type_ = _type_at(info, (*steps, key))
+def _explain_missing(key: str, info: inspect.Type, steps: Steps) -> str:
+    type_ = _find_type(info, (*steps, key))
     if isinstance(type_, inspect.StructType):
-        return f"it has no section {_section((*steps, key))}; add it"
-    if isinstance(_type_at(info, (*steps, key, 0)), inspect.StructType):
-        return f"it has no section [{_section((*steps, key))}]; add at least one"
-    return f"{_section(steps)} needs the setting {key!r}; add it".lstrip()
+        return f"it has no section {_format_section((*steps, key))}; add it"
+    if isinstance(_find_type(info, (*steps, key, 0)), inspect.StructType):
+        return f"it has no section [{_format_section((*steps, key))}]; add at least one"
+    return f"{_format_section(steps)} needs the setting {key!r}; add it".lstrip()
 
 
-def _type_at(info: inspect.Type, steps: Steps) -> inspect.Type | None:
+def _find_type(info: inspect.Type, steps: Steps) -> inspect.Type | None:
     if isinstance(info, inspect.UnionType):
-        candidates = (_type_at(part, steps) for part in info.types)
+        candidates = (_find_type(part, steps) for part in info.types)
         return next((type_ for type_ in candidates if type_ is not None), None)
     if not steps:
         return None if isinstance(info, inspect.NoneType) else info
     if isinstance(info, inspect.StructType):
         fields = {field.encode_name: field.type for field in info.fields}
-        return _type_at(fields[str(steps[0])], steps[1:]) if str(steps[0]) in fields else None
+        return _find_type(fields[str(steps[0])], steps[1:]) if str(steps[0]) in fields else None
     if isinstance(info, inspect.ListType | inspect.VarTupleType):
-        return _type_at(info.item_type, steps[1:])
+        return _find_type(info.item_type, steps[1:])
     if isinstance(info, inspect.DictType):
-        return _type_at(info.value_type, steps[1:])
+        return _find_type(info.value_type, steps[1:])
     return None
 
 
-def _choices(type_: inspect.Type | None) -> list[Any]:
+def _list_choices(type_: inspect.Type | None) -> list[Any]:
     if isinstance(type_, inspect.EnumType):
         return [member.value for member in type_.cls]
     return list(type_.values) if isinstance(type_, inspect.LiteralType) else []
 
 
-def _value_at(data: Any, steps: Steps) -> Any:
+def _find_value(data: Any, steps: Steps) -> Any:
     for step in steps:
         in_list = isinstance(data, list) and isinstance(step, int) and step < len(data)
         if not in_list and not (isinstance(data, dict) and step in data):
@@ -308,7 +311,7 @@ def _value_at(data: Any, steps: Steps) -> Any:
     return data
 
 
-def _toml(value: Any) -> str:
+def _format_value(value: Any) -> str:
     """A value as TOML writes it."""
     if isinstance(value, bool):
         return "true" if value else "false"

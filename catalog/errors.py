@@ -19,10 +19,10 @@ class OptnavError(Exception):
     exit_code = 1
 
     def __init__(self, message: str) -> None:
-        super().__init__(bounded(message))
+        super().__init__(limit_length(message))
 
 
-def bounded(message: str) -> str:
+def limit_length(message: str) -> str:
     """A message whose middle is left out if it is longer than any person reads."""
     if len(message) <= MAX_LETTERS:
         return message

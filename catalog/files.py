@@ -25,7 +25,7 @@ from typing import TypeVar
 import msgspec
 
 from catalog.errors import DataError, OutputError
-from catalog.places import beside, claimed, kind_at, unusable
+from catalog.places import find_kind, hidden_sibling, lock_output, make_output_error
 
 MANIFEST = "manifest.json"
 MADE_BY = "optnav"
@@ -41,8 +41,8 @@ T = TypeVar("T")
 IsOurs = Callable[[Path], bool]  # whether a file is an older output of the same kind
 
 
-def starts_with(*prefixes: bytes) -> IsOurs:
-    """A test for `replacing_file`: the file begins with one of these bytes."""
+def make_prefix_test(*prefixes: bytes) -> IsOurs:
+    """A test for `replace_file`: the file begins with one of these bytes."""
 
     def test(path: Path) -> bool:
         with path.open("rb") as file:
@@ -52,11 +52,11 @@ def starts_with(*prefixes: bytes) -> IsOurs:
 
 
 def check_file(path: Path, ours: IsOurs, sidecars: Sequence[str] = ()) -> None:
-    """Raise OutputError for a place where `replacing_file` could not put a file.
+    """Raise OutputError for a place where `replace_file` could not put a file.
 
     Nothing is touched; long work asks before it begins.
     """
-    kind = kind_at(path)
+    kind = find_kind(path)
     if kind == stat.S_IFDIR:
         raise OutputError(f"{path}: a folder is in the way of an output file; name another place")
     try:
@@ -65,7 +65,7 @@ def check_file(path: Path, ours: IsOurs, sidecars: Sequence[str] = ()) -> None:
                 path.with_name(path.name + ending).lstat()
         foreign = kind == stat.S_IFREG and path.stat().st_size > 0 and not ours(path)
     except OSError as error:
-        raise unusable(path, error) from None
+        raise make_output_error(path, error) from None
     if foreign:
         raise OutputError(
             f"{path}: exists and was not made by optnav as such an output; move it away or "
@@ -74,7 +74,7 @@ def check_file(path: Path, ours: IsOurs, sidecars: Sequence[str] = ()) -> None:
 
 
 @contextmanager
-def replacing_file(path: Path, ours: IsOurs, sidecars: Sequence[str] = ()) -> Iterator[Path]:
+def replace_file(path: Path, ours: IsOurs, sidecars: Sequence[str] = ()) -> Iterator[Path]:
     """Give a file name to write; on success that file takes the place of `path`.
 
     ours      whether an existing file may be replaced; an empty one always may
@@ -85,7 +85,7 @@ def replacing_file(path: Path, ours: IsOurs, sidecars: Sequence[str] = ()) -> It
     there, an unwritable place, a full disk (of SQLite in the body, too).
     """
     check_file(path, ours, sidecars)
-    with claimed(path) as path, _writing(path), _new_folder(path) as folder:
+    with lock_output(path) as path, _report_write_errors(path), _make_new_folder(path) as folder:
         new = folder / f"new{path.suffix}"  # short: SQLite appends to names
         yield new
         _sync(new)
@@ -99,12 +99,12 @@ def replacing_file(path: Path, ours: IsOurs, sidecars: Sequence[str] = ()) -> It
 
 
 def write_output(path: Path, data: bytes, ours: IsOurs) -> None:
-    """Write a file in one go, as `replacing_file` does."""
-    with replacing_file(path, ours) as new:
+    """Write a file in one go, as `replace_file` does."""
+    with replace_file(path, ours) as new:
         new.write_bytes(data)
 
 
-def stored_json(data: bytes, type_: type[T]) -> T | None:
+def decode_stored_json(data: bytes, type_: type[T]) -> T | None:
     """Decode a JSON file of ours; None where it is damaged or of another kind."""
     try:
         return msgspec.json.decode(data, type=type_)
@@ -117,14 +117,14 @@ class _ManifestHead(msgspec.Struct):
     kind: str
 
 
-def made_by_optnav(folder: Path, kind: str) -> bool:
+def is_made_by_optnav(folder: Path, kind: str) -> bool:
     """Whether a folder's manifest says that optnav made it, as this kind of output."""
     path = folder / MANIFEST
     try:
         state = path.stat()
         if not stat.S_ISREG(state.st_mode) or state.st_size > MAX_MANIFEST_BYTES:
             return False
-        head = stored_json(path.read_bytes(), _ManifestHead)
+        head = decode_stored_json(path.read_bytes(), _ManifestHead)
     except OSError:
         return False
     return head is not None and (head.made_by, head.kind) == (MADE_BY, kind)
@@ -132,13 +132,13 @@ def made_by_optnav(folder: Path, kind: str) -> bool:
 
 def check_folder(path: Path, kind: str) -> None:
     """Raise OutputError unless `path` is free, an empty folder, or an output of this kind."""
-    entry = kind_at(path)
+    entry = find_kind(path)
     if entry == stat.S_IFREG:
         raise OutputError(f"{path}: a file is in the way of an output folder; name another place")
     try:
-        foreign = entry != 0 and any(path.iterdir()) and not made_by_optnav(path, kind)
+        foreign = entry != 0 and any(path.iterdir()) and not is_made_by_optnav(path, kind)
     except OSError as error:
-        raise unusable(path, error) from None
+        raise make_output_error(path, error) from None
     if foreign:
         raise OutputError(
             f"{path}: the folder is not empty and holds no {kind} that optnav made, so it is left "
@@ -147,7 +147,7 @@ def check_folder(path: Path, kind: str) -> None:
 
 
 @contextmanager
-def replacing_folder(path: Path, kind: str) -> Iterator[Path]:
+def replace_folder(path: Path, kind: str) -> Iterator[Path]:
     """Give a folder to fill; on success it takes the place of `path`, otherwise it vanishes.
 
     path  where the output shall be: free, an empty folder, or an older output of the same kind
@@ -157,19 +157,19 @@ def replacing_folder(path: Path, kind: str) -> Iterator[Path]:
     for a disk that fills up; ValueError when the caller wrote no manifest.
     """
     check_folder(path, kind)
-    with claimed(path) as path, _writing(path), _new_folder(path) as new:
+    with lock_output(path) as path, _report_write_errors(path), _make_new_folder(path) as new:
         yield new
-        if not made_by_optnav(new, kind):
+        if not is_made_by_optnav(new, kind):
             raise ValueError(f"{path}: the {kind} was left without its manifest")
         check_folder(path, kind)  # somebody may have come meanwhile
         for folder, _, names in os.walk(new):
             for name in names:
                 _sync(Path(folder, name))
             _sync(Path(folder))
-        _put_in_place(new, path)
+        _move_into_place(new, path)
 
 
-def put_file(path: Path, data: bytes) -> None:
+def write_work_file(path: Path, data: bytes) -> None:
     """Write a file of a work folder: whole or not at all, also after a loss of power.
 
     Raises OSError.
@@ -185,7 +185,7 @@ def put_file(path: Path, data: bytes) -> None:
 
 
 @contextmanager
-def putting_folder(path: Path) -> Iterator[Path]:
+def replace_work_folder(path: Path) -> Iterator[Path]:
     """Give a folder to fill in a work folder; on success it takes the place of `path`."""
     partial = path.with_name(path.name + PARTIAL)
     shutil.rmtree(partial, ignore_errors=True)
@@ -217,7 +217,7 @@ def hash_file(path: Path, piece_done: Callable[[], object] = lambda: None) -> st
 
 
 @contextmanager
-def _writing(path: Path) -> Iterator[None]:
+def _report_write_errors(path: Path) -> Iterator[None]:
     """Turn the failures of a place into an OutputError; errors about other files pass through."""
     try:
         yield
@@ -237,14 +237,14 @@ def _writing(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _new_folder(path: Path) -> Iterator[Path]:
+def _make_new_folder(path: Path) -> Iterator[Path]:
     """A hidden folder beside a claimed `path` that is gone afterwards."""
     _remove_leftovers(path)
     # A command that fails for want of open files wants some to remove the folder.
     with ExitStack() as spare:
         for _ in range(SPARE_FILES):
             spare.callback(os.close, os.open(os.devnull, os.O_RDONLY))
-        new = Path(tempfile.mkdtemp(prefix=beside(path, NEW).name, dir=path.parent))
+        new = Path(tempfile.mkdtemp(prefix=hidden_sibling(path, NEW).name, dir=path.parent))
         try:
             mask = os.umask(0)
             os.umask(mask)
@@ -257,32 +257,32 @@ def _new_folder(path: Path) -> Iterator[Path]:
 
 def _remove_leftovers(path: Path) -> None:
     """Clean up after a killed command; give back an old output that it had moved aside."""
-    old = beside(path, OLD)
+    old = hidden_sibling(path, OLD)
     if old.exists():
         if path.exists():
             shutil.rmtree(old)
         else:
             os.rename(old, path)
-    for leftover in path.parent.glob(f"{glob.escape(beside(path, NEW).name)}*"):
+    for leftover in path.parent.glob(f"{glob.escape(hidden_sibling(path, NEW).name)}*"):
         if leftover.is_dir() and not leftover.is_symlink():
             shutil.rmtree(leftover)
 
 
-def _put_in_place(new: Path, path: Path) -> None:
+def _move_into_place(new: Path, path: Path) -> None:
     """Make `new` the folder at `path`; what was there is left under the name of `new`."""
     if not path.exists():
         os.rename(new, path)
-    elif not _exchange(new, path):
+    elif not _swap_folders(new, path):
         # Two steps where the system cannot exchange: a kill between them leaves the old output
         # under its other name, and the next command gives it back.
-        old = beside(path, OLD)
+        old = hidden_sibling(path, OLD)
         os.rename(path, old)
         os.rename(new, path)
         shutil.rmtree(old, ignore_errors=True)
     _sync(path.parent)
 
 
-def _exchange(one: Path, other: Path) -> bool:
+def _swap_folders(one: Path, other: Path) -> bool:
     """Exchange two folders in one step; False where the system or file system cannot."""
     if not sys.platform.startswith("linux"):
         return False

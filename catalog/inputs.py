@@ -31,14 +31,14 @@ def check_input(
         str(path).encode("utf-8")
     except UnicodeEncodeError:
         raise error(
-            f"{printable(path)}: the name is not UTF-8 text; rename the file or its folder"
+            f"{make_printable(path)}: the name is not UTF-8 text; rename the file or its folder"
         ) from None
     try:
         state = os.stat(path)
     except (FileNotFoundError, NotADirectoryError):
         raise error(f"{path}: there is no such {what}; {remedy}") from None
     except ValueError:
-        raise error(f"{printable(path)!r}: is not a name of a {what}; {remedy}") from None
+        raise error(f"{make_printable(path)!r}: is not a name of a {what}; {remedy}") from None
     except OSError as failed:
         if failed.errno in (errno.ELOOP, errno.ENAMETOOLONG):
             remedy = f"name a {what} that is there"
@@ -70,6 +70,6 @@ def read_input(
         raise error(f"{path}: cannot be read ({failed.strerror}); check its permissions") from None
 
 
-def printable(path: Path) -> str:
+def make_printable(path: Path) -> str:
     """A path as text that every terminal and file takes."""
     return str(path).encode("utf-8", "backslashreplace").decode("utf-8")

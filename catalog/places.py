@@ -17,7 +17,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from catalog.errors import OutputError
-from catalog.inputs import printable
+from catalog.inputs import make_printable
 
 LOCK = "optnav-lock"
 # Longer names do not fit into 255 bytes with what hidden siblings add; a hash stands for them then.
@@ -33,15 +33,15 @@ NOT_REPLACED = {
 _claims = threading.local()  # .places: what this thread may write to
 
 
-def kind_at(path: Path) -> int:
+def find_kind(path: Path) -> int:
     """Return the kind of file at a path, links followed: stat.S_IFREG, stat.S_IFDIR, 0 for nothing.
 
     Raises OutputError for anything else that lies there, a link to nothing, a name that is none.
     """
     if not path.name:
         raise OutputError(f"{str(path)!r}: is not a name for an output; name one")
-    if printable(path) != str(path):  # it could not be read again: SQLite and GDAL take text
-        raise OutputError(f"{printable(path)}: the name is not UTF-8 text; name another place")
+    if make_printable(path) != str(path):  # it could not be read again: SQLite and GDAL take text
+        raise OutputError(f"{make_printable(path)}: the name is not UTF-8 text; name another place")
     try:
         kind = stat.S_IFMT(path.stat().st_mode)
     except FileNotFoundError:
@@ -52,7 +52,7 @@ def kind_at(path: Path) -> int:
             ) from None
         return 0
     except OSError as error:
-        raise unusable(path, error) from None
+        raise make_output_error(path, error) from None
     if kind in NOT_REPLACED:
         raise OutputError(
             f"{path}: is {NOT_REPLACED[kind]}, which no output replaces; name another place"
@@ -62,12 +62,12 @@ def kind_at(path: Path) -> int:
 
 def make_folder(path: Path) -> None:
     """Make a folder to put outputs into, unless it is there. Raises OutputError."""
-    if kind_at(path) == stat.S_IFREG:
+    if find_kind(path) == stat.S_IFREG:
         raise OutputError(f"{path}: a file is in the way of an output folder; name another place")
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise unusable(path, error) from None
+        raise make_output_error(path, error) from None
 
 
 def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
@@ -80,12 +80,12 @@ def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
             )
 
 
-def unusable(path: Path, error: OSError) -> OutputError:
+def make_output_error(path: Path, error: OSError) -> OutputError:
     """Return the error to raise when an output path fails."""
     return OutputError(f"{path}: cannot be written ({error.strerror}); name another place")
 
 
-def beside(path: Path, ending: str) -> Path:
+def hidden_sibling(path: Path, ending: str) -> Path:
     """The hidden sibling of a place with an ending."""
     name = path.name
     if len(os.fsencode(name)) > MAX_NAME_BYTES:
@@ -94,7 +94,7 @@ def beside(path: Path, ending: str) -> Path:
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[int]:
+def lock_file(path: Path) -> Iterator[int]:
     """Hold a lock file, made where it is missing; gives its handle.
 
     The lock goes with the process, so that a killed one leaves none behind.
@@ -116,10 +116,10 @@ def locked(path: Path) -> Iterator[int]:
 
 
 @contextmanager
-def claimed(path: Path) -> Iterator[Path]:
+def lock_output(path: Path) -> Iterator[Path]:
     """Keep other processes from an output; gives its place, links followed.
 
-    `replacing_file` and `replacing_folder` claim their place; work that takes long claims it before
+    `replace_file` and `replace_folder` claim their place; work that takes long claims it before
     it begins, for a thread may claim again what it has. Folders above the place that are made here
     and stay empty go afterwards.
     Raises OutputError at once where another process writes, to the place, into it or around it, and
@@ -133,28 +133,28 @@ def claimed(path: Path) -> Iterator[Path]:
                 for folder in [f for f in reversed(path.parents) if not f.exists()]:
                     folder.mkdir(exist_ok=True)
                     stack.callback(_remove_quietly, folder.rmdir)  # unless something is in it
-                stack.enter_context(_alone(path))
+                stack.enter_context(_lock_sibling(path))
                 _check_around(path, places)
                 places.add(path)
                 stack.callback(places.remove, path)
         except OSError as error:
-            raise unusable(path, error) from None
+            raise make_output_error(path, error) from None
         yield path
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
+def _lock_sibling(path: Path) -> Iterator[None]:
     """Hold the lock file beside a place."""
-    lock = beside(path, LOCK)
+    lock = hidden_sibling(path, LOCK)
     with ExitStack() as held:
         for last in (False, True):
             try:
-                while not _is_open_at(held.enter_context(locked(lock)), lock):
+                while not _is_open_at(held.enter_context(lock_file(lock)), lock):
                     held.close()  # its last holder removed it before we had it
                 break
             except BlockingIOError:
                 if last:
-                    raise _taken(path) from None
+                    raise _make_taken_error(path) from None
                 time.sleep(LOOK_S)
         held.callback(_remove_quietly, lock.unlink)  # while it is held: nobody else's
         yield
@@ -163,12 +163,12 @@ def _alone(path: Path) -> Iterator[None]:
 def _check_around(path: Path, own: set[Path]) -> None:
     """Refuse a place in a folder that another process replaces, or one that it writes into."""
     for other in list(path.parents)[:-1]:
-        if other not in own and _is_held(beside(other, LOCK)):
-            raise _taken(other)
-    known = {beside(path_held, LOCK) for path_held in own}
+        if other not in own and _is_held(hidden_sibling(other, LOCK)):
+            raise _make_taken_error(other)
+    known = {hidden_sibling(path_held, LOCK) for path_held in own}
     for lock in path.rglob(f".*.{LOCK}") if path.is_dir() else ():
         if lock not in known and _is_held(lock):
-            raise _taken(lock.with_name(lock.name[1 : -len(LOCK) - 1]))
+            raise _make_taken_error(lock.with_name(lock.name[1 : -len(LOCK) - 1]))
 
 
 def _is_held(lock: Path) -> bool:
@@ -186,7 +186,7 @@ def _is_held(lock: Path) -> bool:
     return False
 
 
-def _taken(path: Path) -> OutputError:
+def _make_taken_error(path: Path) -> OutputError:
     return OutputError(
         f"{path}: another optnav is writing this output; wait for it or name another place"
     )

@@ -46,7 +46,7 @@ class SilentProgress:
 
 
 @contextmanager
-def logged_stage(name: str) -> Iterator[None]:
+def log_stage(name: str) -> Iterator[None]:
     """Log one event when a stage of a command ends: its name, its seconds and how it ended."""
     started, status = time.monotonic(), "failed"
     try:

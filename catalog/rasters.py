@@ -103,7 +103,7 @@ def open_raster(path: Path, drivers: tuple[str, ...], remedy: str = "check the p
     """
     if check_input(path, remedy=remedy) == 0:
         raise DataError(f"{path}: is empty; get the file again")
-    _RasterFiles(_followed(path).parent.resolve()).check(_followed(path), drivers)
+    _RasterFiles(_resolve_link(path).parent.resolve()).check(_resolve_link(path), drivers)
     dataset = reopen_raster(path, drivers)
     try:
         _check_sizes(path, dataset)
@@ -116,10 +116,14 @@ def open_raster(path: Path, drivers: tuple[str, ...], remedy: str = "check the p
 def reopen_raster(path: Path, drivers: tuple[str, ...]) -> Any:
     """A rasterio dataset of a file that `open_raster` has checked before. Raises DataError."""
     try:
-        with _gdal(siblings="VRT" in drivers), _no_traceback_of_texts(), warnings.catch_warnings():
+        with (
+            _set_gdal(siblings="VRT" in drivers),
+            _skip_text_tracebacks(),
+            warnings.catch_warnings(),
+        ):
             # a file without a place on the map gets an error of our own, with a remedy
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            return rasterio.DatasetReader(_followed(path), driver=list(drivers))
+            return rasterio.DatasetReader(_resolve_link(path), driver=list(drivers))
     except UnicodeDecodeError as error:
         raise DataError(
             f"{path}: a text of its header is not UTF-8 ({error.reason}); get the file again"
@@ -132,11 +136,13 @@ def reopen_raster(path: Path, drivers: tuple[str, ...]) -> Any:
             remedy = "FITS is not read as a map; make it a GeoTIFF or an ISIS cube"
         elif path.suffix.lower() == ".img":
             remedy = f"a PDS3 image needs its label {path.with_suffix('.LBL').name} beside it"
-        raise DataError(f"{path}: cannot be opened ({gdal_reason(error)}); {remedy}") from None
+        raise DataError(
+            f"{path}: cannot be opened ({extract_gdal_reason(error)}); {remedy}"
+        ) from None
 
 
 @contextmanager
-def _no_traceback_of_texts() -> Iterator[None]:
+def _skip_text_tracebacks() -> Iterator[None]:
     """Keep quiet what rasterio prints where words of GDAL hold a file's text that is not UTF-8.
 
     It cannot raise from within GDAL, and prints the error by the interpreter's hooks instead. Those
@@ -172,19 +178,19 @@ def _is_fits(path: Path) -> bool:
 
 
 @contextmanager
-def reading_raster(path: Path, siblings: bool = True, what: str = "") -> Iterator[None]:
+def handle_read_errors(path: Path, siblings: bool = True, what: str = "") -> Iterator[None]:
     """GDAL's settings while an open file is read: offline, with a bounded cache.
 
     what  is read of it, for the message
     Raises DataError for a file that turns out to be damaged, in its header too.
     """
     try:
-        with _gdal(siblings):
+        with _set_gdal(siblings):
             yield
     except RASTER_ERRORS as error:
         raise DataError(
-            f"{path}: {what}cannot be read ({gdal_reason(error)}); the file is damaged or cut "
-            "short, get it again"
+            f"{path}: {what}cannot be read ({extract_gdal_reason(error)}); the file is damaged or "
+            "cut short, get it again"
         ) from None
 
 
@@ -206,7 +212,7 @@ def encode_geotiff(
     (rows, cols), kind = first.shape, first.dtype.name
     options = {"driver": "GTiff", "compress": "deflate", "dtype": kind, "count": len(bands)}
     options |= {"predictor": 3} if kind == "float32" else {}
-    with _gdal(siblings=True), MemoryFile() as memory:
+    with _set_gdal(siblings=True), MemoryFile() as memory:
         with memory.open(**options, height=rows, width=cols, **profile) as file:
             file.update_tags(**(tags or {}))
             if unit:
@@ -227,12 +233,12 @@ def is_described(path: Path, *beginnings: str) -> bool:
 
 
 @contextmanager
-def held_settings() -> Iterator[None]:
+def keep_gdal_settings() -> Iterator[None]:
     """GDAL's settings of this thread for many readings of rasters; setting them takes 30 us each.
 
-    `reading_raster` within does not set them again, unless it wants others.
+    `handle_read_errors` within does not set them again, unless it wants others.
     """
-    with _gdal(siblings=True):
+    with _set_gdal(siblings=True):
         _held.siblings = True
         try:
             yield
@@ -241,7 +247,7 @@ def held_settings() -> Iterator[None]:
 
 
 @contextmanager
-def _gdal(siblings: bool) -> Iterator[None]:
+def _set_gdal(siblings: bool) -> Iterator[None]:
     if siblings and getattr(_held, "siblings", None):
         yield
         return
@@ -265,7 +271,7 @@ def _is_utf8(text: str) -> bool:
     return not any("\udc80" <= letter <= "\udcff" for letter in text)
 
 
-def gdal_reason(error: BaseException) -> str:
+def extract_gdal_reason(error: BaseException) -> str:
     """GDAL's own words, which rasterio keeps as the cause of its error."""
     deepest: BaseException = error
     while deepest.__cause__ is not None:
@@ -273,7 +279,7 @@ def gdal_reason(error: BaseException) -> str:
     return str(deepest).strip().rstrip(".")
 
 
-def _followed(path: Path) -> Path:
+def _resolve_link(path: Path) -> Path:
     """An absolute path; of a link, the file that it leads to, as GDAL takes it for mosaics.
 
     An absolute path is never taken for a connection, such as "NETCDF:..." or "WMS:...".
@@ -334,7 +340,7 @@ class _RasterFiles:
         if "VRT" in drivers:
             self._check_siblings(path)
         if b"<VRTDataset" in head.partition(b"\0")[0] and "VRT" in drivers:
-            for name in _vrt_sources(path, self.folder):
+            for name in _read_vrt_sources(path, self.folder):
                 self.check(name, drivers, depth + 1)
         elif _PDS4.match(head):
             self._check_pointed(path, _PDS4_NAME.findall(head))
@@ -369,7 +375,7 @@ class _RasterFiles:
                     f"{label}: names '{name}', a file elsewhere; wanted its pixels in the folder "
                     "of the label"
                 )
-            for path in self._listing(label.parent).get(name.casefold(), []):
+            for path in self._list_folder(label.parent).get(name.casefold(), []):
                 self._check_inside(path, label)
                 if path != label:
                     self._check_no_description(path)
@@ -382,7 +388,7 @@ class _RasterFiles:
     def _check_siblings(self, path: Path) -> None:
         """Check what GDAL reads beside a file: overviews, masks, world files, metadata."""
         stem, name = path.stem.casefold(), path.name.casefold()
-        for key, paths in self._listing(path.parent).items():
+        for key, paths in self._list_folder(path.parent).items():
             if key.removeprefix(name if key.startswith(name) else stem) not in _SIDECARS.split():
                 # readers of satellites' metadata try many more names
                 if key.startswith(stem) and any(map(_is_pipe_or_device, paths)):
@@ -406,7 +412,7 @@ class _RasterFiles:
                 "it); copy it there or remove it"
             )
 
-    def _listing(self, folder: Path) -> dict[str, list[Path]]:
+    def _list_folder(self, folder: Path) -> dict[str, list[Path]]:
         if folder not in self.listings:
             names: dict[str, list[Path]] = {}
             for path in folder.iterdir():
@@ -428,7 +434,7 @@ def _check_sidecar(path: Path) -> None:
         raise DataError(f"{path}: names a file elsewhere; remove it")
 
 
-def _vrt_sources(path: Path, folder: Path) -> list[Path]:
+def _read_vrt_sources(path: Path, folder: Path) -> list[Path]:
     """The files that a mosaic is made of. Raises DataError for one outside of a folder."""
     check_size = path.stat().st_size
     if check_size > MAX_VRT_BYTES:
@@ -445,7 +451,7 @@ def _vrt_sources(path: Path, folder: Path) -> list[Path]:
     for element in root.iter():
         kind = element.tag.lower()
         if kind in _FILE_ELEMENTS:
-            sources.append(_source_path(path, folder, element))
+            sources.append(_resolve_source(path, folder, element))
             continue
         words = " ".join([element.text or "", *element.attrib.values()])
         if kind not in _VRT_ELEMENTS.split() or _ELSEWHERE.search(words) or "<" in words:
@@ -463,7 +469,7 @@ def _vrt_sources(path: Path, folder: Path) -> list[Path]:
     return sources
 
 
-def _source_path(path: Path, folder: Path, element: ElementTree.Element) -> Path:
+def _resolve_source(path: Path, folder: Path, element: ElementTree.Element) -> Path:
     """The file of a mosaic's element, which must lie in the folder, links followed."""
     attributes = {key.lower(): value for key, value in element.attrib.items()}
     name = element.text or ""

@@ -49,20 +49,20 @@ class SpecialValues:
 
     def is_missing(self, stored: NDArray[Any]) -> BoolArray:
         """Mark pixels without a value: bool, of the shape of `stored`; NaN counts."""
-        marked = ~(stored >= _as_type(self.lowest_valid, stored))
+        marked = ~(stored >= _convert_type(self.lowest_valid, stored))
         for value in self.missing:
-            marked |= stored == _as_type(value, stored)
+            marked |= stored == _convert_type(value, stored)
         return np.asarray(marked, dtype=np.bool_)
 
     def is_saturated(self, stored: NDArray[Any]) -> BoolArray:
         """Mark saturated pixels: bool, of the shape of `stored`."""
-        marked = stored > _as_type(self.highest_valid, stored)
+        marked = stored > _convert_type(self.highest_valid, stored)
         for value in self.saturated:
-            marked |= stored == _as_type(value, stored)
+            marked |= stored == _convert_type(value, stored)
         return np.asarray(marked, dtype=np.bool_)
 
 
-def _as_type(value: float, stored: NDArray[Any]) -> np.float64 | np.float32:
+def _convert_type(value: float, stored: NDArray[Any]) -> np.float64 | np.float32:
     """A value as a float type that holds the stored type; a float32 raster's own rounding."""
     return np.float32(value) if stored.dtype == np.float32 else np.float64(value)
 
@@ -103,7 +103,7 @@ def read_stored_value(text: str, dtype: str) -> float | None:
     return float(bits - full) if kind.kind == "i" and full // 2 <= bits < full else float(bits)
 
 
-def _isis_real(bits: int) -> float:
+def _decode_isis_real(bits: int) -> float:
     return float(np.array(bits, np.uint32).view(np.float32))
 
 
@@ -115,7 +115,7 @@ ISIS = {
     "int32": SpecialValues((-8388613.0, -8388612.0, -8388611.0), (-8388610.0, -8388609.0)),
     "uint32": SpecialValues((0.0, 1.0, 2.0), (4294967294.0, 4294967295.0)),
     "float32": SpecialValues(
-        tuple(_isis_real(0xFF7FFFFB + step) for step in range(3)),
-        tuple(_isis_real(0xFF7FFFFE + step) for step in range(2)),
+        tuple(_decode_isis_real(0xFF7FFFFB + step) for step in range(3)),
+        tuple(_decode_isis_real(0xFF7FFFFE + step) for step in range(2)),
     ),
 }

@@ -40,7 +40,7 @@ class CsvColumn:
     empty: bool = False
     newer: bool = False
 
-    def cell(self, value: object) -> str:
+    def format_cell(self, value: object) -> str:
         """A value as it is written; None and numbers that are not finite are empty."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return ""
@@ -131,7 +131,9 @@ class CsvTable:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(self.names)
             for row in rows:
-                writer.writerow([column.cell(row.get(column.name)) for column in self.columns])
+                writer.writerow(
+                    [column.format_cell(row.get(column.name)) for column in self.columns]
+                )
                 count += 1
         return count
 
@@ -157,15 +159,17 @@ class CsvTable:
         Raises DataError for a file that cannot be read, lacks a column or has one twice, and for
         one without rows where people make it.
         """
-        header, *lines = _lines(path) or [(0, [])]
+        header, *lines = _read_lines(path) or [(0, [])]
         if not header[1]:
             raise DataError(f"{path}: is empty; wanted the header {','.join(self.names)}")
         self._check_header(path, header[1])
         if self.by_hand and not lines:
             raise DataError(f"{path}: has a header but no rows; add a row for each picture")
-        return [self._row(f"{path}, line {number}", header[1], cells) for number, cells in lines]
+        return [
+            self._make_row(f"{path}, line {number}", header[1], cells) for number, cells in lines
+        ]
 
-    def markdown(self) -> str:
+    def format_markdown(self) -> str:
         """The columns as a Markdown table."""
         lines = ["| column | unit | holds | may be empty |", "|---|---|---|---|"]
         for column in self.columns:
@@ -174,7 +178,7 @@ class CsvTable:
             lines.append(f"| `{column.name}` | {column.unit} | {column.meaning}{kind} | {empty} |")
         return "\n".join(lines) + "\n"
 
-    def _row(self, where: str, header: list[str], cells: list[str]) -> CsvRow:
+    def _make_row(self, where: str, header: list[str], cells: list[str]) -> CsvRow:
         while self.by_hand and len(cells) > len(header) and not cells[-1]:
             cells = cells[:-1]
         problem = ""
@@ -201,7 +205,7 @@ class CsvTable:
             raise DataError(f"{path}: has the column '{twice[0]}' twice; remove one")
 
 
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
+def _read_lines(path: Path) -> list[tuple[int, list[str]]]:
     """Line number and cells of each line that is not blank. Raises DataError."""
     raw = read_input(path, remedy="make it, or check the path")
     try:

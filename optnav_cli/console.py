@@ -34,7 +34,7 @@ LEFT = (errno.EPIPE, errno.EIO)  # the reader went, or the terminal was hung up
 LOG_BEGINNING = b'{"time": '
 
 
-class PatientStream(io.TextIOWrapper):
+class BestEffortStream(io.TextIOWrapper):
     """Text to a descriptor, a line at a time; from the first failure on it goes nowhere."""
 
     def __init__(
@@ -69,7 +69,7 @@ class PatientStream(io.TextIOWrapper):
         os.close(nowhere)
 
 
-def _as_printed(error: UnicodeError) -> tuple[str | bytes, int]:
+def _replace_unencodable(error: UnicodeError) -> tuple[str | bytes, int]:
     """Replace what an encoding lacks: undecodable names by their bytes, all else by escapes."""
     try:
         return codecs.lookup_error("surrogateescape")(error)
@@ -77,28 +77,28 @@ def _as_printed(error: UnicodeError) -> tuple[str | bytes, int]:
         return codecs.lookup_error("backslashreplace")(error)
 
 
-def make_patient() -> None:
+def install_safe_streams() -> None:
     """Make stdout and stderr of this process patient; what is closed goes nowhere."""
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
-    codecs.register_error("optnav", _as_printed)
+    codecs.register_error("optnav", _replace_unencodable)
     for number, name in ((1, "stdout"), (2, "stderr")):
         old: TextIO | None = getattr(sys, name)
         encoding = "utf-8" if old is None else old.encoding
-        setattr(sys, name, PatientStream(number, encoding, "optnav"))
+        setattr(sys, name, BestEffortStream(number, encoding, "optnav"))
 
 
-def undelivered() -> OSError | None:
+def find_output_failure() -> OSError | None:
     """Why stdout did not take all; None where it did, or its reader had seen enough."""
     sys.stdout.flush()
-    failure = sys.stdout.failure if isinstance(sys.stdout, PatientStream) else None
+    failure = sys.stdout.failure if isinstance(sys.stdout, BestEffortStream) else None
     return None if failure is None or failure.errno in LEFT else failure
 
 
-def open_log(path: Path) -> PatientStream:
+def open_log(path: Path) -> BestEffortStream:
     """Open a log to add to; it may be a terminal, or a pipe that is read.
 
     Raises OutputError for a place that cannot be written, and for a file that is no log of ours.
@@ -117,7 +117,7 @@ def open_log(path: Path) -> PatientStream:
         raise OutputError(
             f"{path}: cannot write the log: {reason}; name another --log-file"
         ) from None
-    return PatientStream(handle)
+    return BestEffortStream(handle)
 
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ class JsonLines(logging.Formatter):
         return json.dumps(entry, ensure_ascii=False)
 
 
-def _shortened(message: str) -> str:
+def _limit_lines(message: str) -> str:
     """A message without the middle of lines that are very long: a name may have 5000 letters."""
     half = LINE_LETTERS // 2
     return "\n".join(
@@ -162,7 +162,7 @@ class PeopleHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         kind = "warning: " if record.levelno == logging.WARNING else ""
-        line = f"optnav: {kind}{_shortened(record.getMessage())}"
+        line = f"optnav: {kind}{_limit_lines(record.getMessage())}"
         shown = sys.modules.get("tqdm")  # no bar without its module
         if shown is not None:
             shown.tqdm.write(line, file=sys.stderr)
@@ -310,7 +310,7 @@ class ConsoleProgress:
         stage.close()
 
 
-def tell(lines: Iterable[str]) -> None:
+def report_lines(lines: Iterable[str]) -> None:
     """Print lines, such as a table, for people and for the log file."""
     for line in lines:
         _log.info("%s", line)
@@ -320,7 +320,7 @@ def tell(lines: Iterable[str]) -> None:
 pass_progress = click.make_pass_decorator(ConsoleProgress, ensure=True)
 
 
-def announce_compilation() -> None:
+def report_compilation() -> None:
     """Log once, before or when it happens, that numba compiles its kernels in this run.
 
     Later runs find them in numba's cache and start at once.

@@ -49,7 +49,7 @@ class MatchKind(StrEnum):
     PICKED_POINT = "picked_point"  # a row of points.csv, by its name
 
 
-def number_of_name(name: str) -> int:
+def hash_name(name: str) -> int:
     """The number that stands for a picked point's name where points are numbered."""
     return zlib.crc32(name.encode())
 
@@ -117,7 +117,7 @@ class OutlineMarks:
     is_disc: bool = False
 
     @classmethod
-    def of_disc(cls, centre_px: FloatArray) -> "OutlineMarks":
+    def mark_disc(cls, centre_px: FloatArray) -> "OutlineMarks":
         """The centre (2,) of a disc that is too small for a limb."""
         return cls(centre_px[None], np.empty((0, 2)), np.empty(0), is_disc=True)
 
@@ -384,5 +384,5 @@ class Solution:
 
     def with_remark(self, remark: Reason) -> "Solution":
         """The row with a remark behind its reason."""
-        reason = self.outcome.reason.followed_by(remark)
+        reason = self.outcome.reason.add_sentence(remark)
         return replace(self, outcome=replace(self.outcome, reason=reason))

@@ -16,8 +16,8 @@ from typing import NoReturn
 import click
 
 import catalog
-from catalog.errors import OptnavError, OutputError, bounded
-from optnav_cli.console import is_set_up, make_patient, undelivered
+from catalog.errors import OptnavError, OutputError, limit_length
+from optnav_cli.console import find_output_failure, install_safe_streams, is_set_up
 from optnav_cli.options import IN_FILES, Entry, LazyGroup
 
 COMPLETE, SHELLS = "_OPTNAV_COMPLETE", ("bash", "zsh", "fish")
@@ -96,7 +96,7 @@ def _invoke(args: Sequence[str], group: click.Group, program: str) -> int:
             in_files = context.meta.get(IN_FILES, False)
     except click.exceptions.Exit as end:  # --help, --version
         code = end.exit_code
-    failure = undelivered()
+    failure = find_output_failure()
     if failure is not None and code == 0 and not in_files:
         reason = (failure.strerror or str(failure)).lower()
         raise OutputError(f"{reason}: stdout did not take the result; send it elsewhere")
@@ -113,7 +113,7 @@ def run(args: Sequence[str], group: click.Group = cli, program: str = "optnav") 
         error.show()
         return error.exit_code
     except click.UsageError as error:
-        return _fail(_usage(error), error.exit_code)
+        return _fail(_explain_usage(error), error.exit_code)
     except click.ClickException as error:
         return _fail(error.format_message(), error.exit_code)
     except (click.Abort, KeyboardInterrupt):
@@ -142,7 +142,7 @@ def _fail(message: str, code: int) -> int:
     """Write why the command ends to stderr, and to the log file if there is one."""
     import logging
 
-    message = bounded(message)  # it quotes a name or a value of the input
+    message = limit_length(message)  # it quotes a name or a value of the input
     if is_set_up():
         logging.getLogger(__name__).error("%s", message)
     else:  # the command line was wrong: no logging yet
@@ -150,7 +150,7 @@ def _fail(message: str, code: int) -> int:
     return code
 
 
-def _usage(error: click.UsageError) -> str:
+def _explain_usage(error: click.UsageError) -> str:
     """The message of a wrong command line, and where to look."""
     message = error.format_message()
     if isinstance(error, click.NoSuchOption) and error.possibilities:
@@ -181,7 +181,7 @@ def main(group: click.Group = cli, program: str = "optnav") -> NoReturn:
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGTERM, terminate)
-    make_patient()
+    install_safe_streams()
     sys.exit(complete() if COMPLETE in os.environ else run(sys.argv[1:], group, program))
 
 

@@ -20,7 +20,7 @@ IN_FILES = f"{__name__}.in_files"  # in a context's meta: whether the result goe
 _NEGATIVE = re.compile(r"-\.?\d")
 
 
-def _remember(ctx: click.Context, param: click.Parameter, value: Any) -> None:
+def _store_shared(ctx: click.Context, param: click.Parameter, value: Any) -> None:
     """Keep what a shared option says for the whole command line; the last one said counts."""
     if value:
         ctx.meta[f"{__name__}.{param.name}"] = value
@@ -28,14 +28,14 @@ def _remember(ctx: click.Context, param: click.Parameter, value: Any) -> None:
         raise click.UsageError("--quiet and --verbose exclude each other; give one", ctx)
 
 
-def _shared_option(*names: str, **more: Any) -> click.Option:
-    return click.Option(names, expose_value=False, callback=_remember, **more)
+def _make_shared_option(*names: str, **more: Any) -> click.Option:
+    return click.Option(names, expose_value=False, callback=_store_shared, **more)
 
 
 SHARED_OPTIONS = (
-    _shared_option("-q", "--quiet", is_flag=True, help="Show warnings and errors only."),
-    _shared_option("-v", "--verbose", is_flag=True, help="Show details."),
-    _shared_option(
+    _make_shared_option("-q", "--quiet", is_flag=True, help="Show warnings and errors only."),
+    _make_shared_option("-v", "--verbose", is_flag=True, help="Show details."),
+    _make_shared_option(
         "--log-file",
         type=PATH,
         help="Also write all messages to this file, one JSON object a line.",
@@ -99,7 +99,9 @@ class BoundingBoxType(click.ParamType):  # type: ignore[type-arg] # generic sinc
         return west, south, east, north
 
 
-def _within(low: int, high: int) -> Callable[[click.Context, click.Parameter, float], float]:
+def _make_angle_check(
+    low: int, high: int
+) -> Callable[[click.Context, click.Parameter, float], float]:
     """A callback that refuses an angle outside low..high degrees."""
 
     def checked(ctx: click.Context, param: click.Parameter, value: float) -> float:
@@ -110,7 +112,7 @@ def _within(low: int, high: int) -> Callable[[click.Context, click.Parameter, fl
     return checked
 
 
-latitude, longitude = _within(-90, 90), _within(-180, 360)
+latitude, longitude = _make_angle_check(-90, 90), _make_angle_check(-180, 360)
 
 
 def path_argument(name: str) -> Callable[[F], F]:
@@ -132,12 +134,12 @@ json_option = click.option(
 )
 
 
-def _workers(what: str) -> Callable[[F], F]:
+def _make_workers_option(what: str) -> Callable[[F], F]:
     text = f"{what} to work with; all cores by default."
     return click.option("--workers", type=click.IntRange(1, MAX_WORKERS), help=text)
 
 
-workers_option, threads_option = _workers("Processes"), _workers("Threads")
+workers_option, threads_option = _make_workers_option("Processes"), _make_workers_option("Threads")
 
 
 def scheduler_option(files: str, note: str = "") -> Callable[[F], F]:

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from catalog.errors import DataError
-from catalog.files import check_file, made_by_optnav, replacing_file, starts_with
-from catalog.progress import logged_stage
+from catalog.files import check_file, is_made_by_optnav, make_prefix_test, replace_file
+from catalog.progress import log_stage
 from catalog.store.reader import Catalog
 from optnav_cli.calibration.page import build_calibration_page, is_calibration
 from optnav_cli.cylinder.page import CYLINDER_KIND, build_cylinder_page, draw_cylinder_sheet
@@ -53,13 +53,13 @@ def write_report(source: Path, output: Path) -> None:
     An output that ends in .svg gets the errors of a run, or the first orbit, as a picture.
     Raises DataError for a source that is neither, OutputError for a place that cannot be used.
     """
-    with logged_stage("report"):
+    with log_stage("report"):
         _write(source, output)
 
 
 def _write(source: Path, output: Path) -> None:
     svg = output.suffix.lower() == ".svg"
-    check_file(output, starts_with((sheet.BEGINNING if svg else page.BEGINNING).encode()))
+    check_file(output, make_prefix_test((sheet.BEGINNING if svg else page.BEGINNING).encode()))
     if svg:
         if not source.is_dir():
             raise DataError(
@@ -67,7 +67,7 @@ def _write(source: Path, output: Path) -> None:
                 "file"
             )
         for kind, draw in SHEETS.items():
-            if made_by_optnav(source, kind):
+            if is_made_by_optnav(source, kind):
                 sheet.write_sheet(draw(source), output)
                 return
         run = read_run(source)
@@ -77,12 +77,12 @@ def _write(source: Path, output: Path) -> None:
         sheet.write_sheet(draw_run(run), output)
         return
     if source.is_dir():
-        made = (draw for kind, draw in PAGES.items() if made_by_optnav(source, kind))
+        made = (draw for kind, draw in PAGES.items() if is_made_by_optnav(source, kind))
         text = next(made, build_calibration_page if is_calibration(source) else run_page)(source)
     elif source.is_file():
         with Catalog.open(source) as catalog:
             text = build_catalog_page(catalog)
     else:
         raise DataError(f"{source}: there is no such run or catalog; check the path")
-    with replacing_file(output, starts_with(page.BEGINNING.encode())) as path:
+    with replace_file(output, make_prefix_test(page.BEGINNING.encode())) as path:
         path.write_text(text, encoding="utf-8")

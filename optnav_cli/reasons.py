@@ -102,14 +102,14 @@ class ReasonCode(StrEnum):
     OUTLIER = "outlier", "the match disagrees with the others"
 
 
-def distinct_texts(value: float, limit: float, decimals: int) -> tuple[str, str]:
+def format_distinct(value: float, limit: float, decimals: int) -> tuple[str, str]:
     """A number and its limit with so many decimals, or as many as tell them apart."""
     while decimals < 17 and value != limit and f"{value:.{decimals}f}" == f"{limit:.{decimals}f}":
         decimals += 1
     return f"{value:.{decimals}f}", f"{limit:.{decimals}f}"
 
 
-def longer(share: float) -> str:
+def describe_length(share: float) -> str:
     """Say by how much a length is longer, in words: "9.7 % shorter" of -0.097."""
     return f"{100.0 * abs(share):.1f} % {'longer' if share > 0.0 else 'shorter'}"
 
@@ -122,7 +122,7 @@ class Reason:
     text: str = ""
 
     @classmethod
-    def of(cls, error: NoSolutionError) -> "Reason":
+    def from_error(cls, error: NoSolutionError) -> "Reason":
         """Make the reason that an error states."""
         return cls(ReasonCode(error.code), str(error))
 
@@ -136,11 +136,11 @@ class Reason:
         """The error that says so."""
         return NoSolutionError(self.text, self.code)
 
-    def worded(self, text: str) -> "Reason":
+    def with_text(self, text: str) -> "Reason":
         """Return the same code with another sentence, which includes this one."""
         return replace(self, text=text)
 
-    def followed_by(self, other: "Reason") -> "Reason":
+    def add_sentence(self, other: "Reason") -> "Reason":
         """Both sentences; the code of the first."""
         if not (self and other):
             return self or other

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from catalog.jobs.workers import available_cores
+from catalog.jobs.workers import count_cores
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 KERNELS = (
@@ -26,7 +26,7 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """Run one process more than cores, as many tests wait for commands that they start."""
-    return available_cores() + 1
+    return count_cores() + 1
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -105,16 +105,18 @@ class Comparison:
         """(n,) ids of shared points that differ."""
         return self.before["id"].astype(np.int64)
 
-    def field_changed(self, name: str) -> BoolArray:
+    def mark_changed(self, name: str) -> BoolArray:
         """(n,) where a field of the records differs."""
         if name == "source":
             before, after = self.first.meta, self.second.meta
-            return np.not_equal(_names(before, self.before), _names(after, self.after))
-        return _differs(self.before[name], self.after[name])
+            return np.not_equal(
+                _list_sources(before, self.before), _list_sources(after, self.after)
+            )
+        return _mark_differences(self.before[name], self.after[name])
 
-    def field_change(self, name: str) -> FloatArray:
+    def measure_change(self, name: str) -> FloatArray:
         """(n,) largest difference of a field's numbers, absolute; inf from or to unknown."""
-        a, b = _columns(self.before[name], self.after[name])
+        a, b = _align_columns(self.before[name], self.after[name])
         change = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(a - b))
         largest: FloatArray = np.where(np.isnan(change), np.inf, change).max(axis=1, initial=0.0)
         return largest
@@ -150,7 +152,7 @@ def require_whole(path: str | Path) -> None:
         catalog.relief()
 
 
-def _content(meta: CatalogMeta) -> dict[str, str]:
+def _collect_content(meta: CatalogMeta) -> dict[str, str]:
     """Settings that are part of the content digest."""
     values = {name: str(getattr(meta, name)) for name in CONTENT}
     values["point_sources"] = ", ".join(meta.point_sources)
@@ -158,49 +160,49 @@ def _content(meta: CatalogMeta) -> dict[str, str]:
         relief = meta.relief
         values["relief"] = f"{relief.rows} rows of {relief.source} ({relief.digest[:12]})"
     if meta.planes is not None:
-        planes = meta.planes.rounded()
+        planes = meta.planes.round_values()
         verticals_text = json.dumps(planes.pop("verticals_deg", {}), sort_keys=True)
         digest = f", verticals {hashlib.sha256(verticals_text.encode()).hexdigest()[:12]}"
         values["planes"] = f"{planes}{digest if meta.planes.verticals_deg else ''}"
     return values
 
 
-def _provenance(meta: CatalogMeta) -> dict[str, str]:
+def _collect_provenance(meta: CatalogMeta) -> dict[str, str]:
     """Collect what is no content: program, time, terrain hashes, values of the build config."""
     values = {name: str(getattr(meta, name)) for name in OF_THE_MOMENT}
     sources = {f"source {name}": text for name, text in meta.sources.items()}
     errors = {f"error of {n}": f"{e.error_m:g} m" for n, e in meta.terrain_errors.items()}
-    return values | sources | errors | _config_values(meta.config)
+    return values | sources | errors | _parse_config(meta.config)
 
 
-def _changes(one: Mapping[str, str], other: Mapping[str, str]) -> tuple[Change, ...]:
+def _list_changes(one: Mapping[str, str], other: Mapping[str, str]) -> tuple[Change, ...]:
     names = [*one, *(name for name in other if name not in one)]
     changes = (Change(name, one.get(name, NOTHING), other.get(name, NOTHING)) for name in names)
     return tuple(change for change in changes if change.first != change.second)
 
 
-def _config_values(text: str) -> dict[str, str]:
+def _parse_config(text: str) -> dict[str, str]:
     """Values of a config under names as "config check.trials"; one line where it is no TOML."""
     try:
-        return dict(_flat("config", tomllib.loads(text)))
+        return dict(_flatten_value("config", tomllib.loads(text)))
     except (ValueError, RecursionError):
         return {"config": " ".join(text.split())}
 
 
-def _flat(name: str, value: object) -> Iterator[tuple[str, str]]:
+def _flatten_value(name: str, value: object) -> Iterator[tuple[str, str]]:
     if isinstance(value, dict):
         separator = " " if name == "config" else "."
         for key, inner in value.items():
-            yield from _flat(f"{name}{separator}{key}", inner)
+            yield from _flatten_value(f"{name}{separator}{key}", inner)
     elif isinstance(value, list) and any(isinstance(inner, dict) for inner in value):
         for number, inner in enumerate(value, start=1):
-            yield from _flat(f"{name}[{number}]", inner)
+            yield from _flatten_value(f"{name}[{number}]", inner)
     else:
         yield name, str(value)
 
 
 def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
-    settings = _changes(_content(a.meta), _content(b.meta))
+    settings = _list_changes(_collect_content(a.meta), _collect_content(b.meta))
     comparable = not {"body", "radius_m", "cell_deg"} & {change.name for change in settings}
     shared, rows_a, rows_b = np.intersect1d(
         a.ids, b.ids if comparable else b.ids[:0], assume_unique=True, return_indices=True
@@ -214,22 +216,22 @@ def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
     height_max, height_rms = np.zeros(len(shared)), np.zeros(len(shared))
     for row, number in enumerate(shared.tolist()):
         before_patches, after_patches = a.stored_patches(number), b.stored_patches(number)
-        if not _same_content(before_patches, after_patches):
+        if not _is_same_content(before_patches, after_patches):
             patches[row] = True
             height_max[row], height_rms[row], holes[row] = (
-                _height_differences(before_patches, after_patches)
+                _compare_heights(before_patches, after_patches)
                 if moved_m[row] == 0.0
                 else (np.nan, np.nan, 0)
             )
         stage.advance(2)
-    changed = patches | (_names(a.meta, before) != _names(b.meta, after))
+    changed = patches | (_list_sources(a.meta, before) != _list_sources(b.meta, after))
     for name in ("lat_deg", "lon_deg", "radius_m", "flags", "usable", *CERTIFICATE):
-        changed |= _differs(before[name], after[name])
+        changed |= _mark_differences(before[name], after[name])
     return Comparison(
-        _side(a, shared, comparable, stage),
-        _side(b, shared, comparable, stage),
+        _collect_unshared(a, shared, comparable, stage),
+        _collect_unshared(b, shared, comparable, stage),
         settings,
-        _changes(_provenance(a.meta), _provenance(b.meta)),
+        _list_changes(_collect_provenance(a.meta), _collect_provenance(b.meta)),
         comparable,
         before[changed],
         after[changed],
@@ -238,11 +240,11 @@ def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
         height_max[changed],
         height_rms[changed],
         holes[changed],
-        _relief_change(a, b),
+        _compare_reliefs(a, b),
     )
 
 
-def _relief_change(a: Catalog, b: Catalog) -> ReliefChange | None:
+def _compare_reliefs(a: Catalog, b: Catalog) -> ReliefChange | None:
     """Both reliefs are read, so that a damaged one is reported."""
     before, after = a.relief(), b.relief()
     if before is None or after is None or before.heights.shape != after.heights.shape:
@@ -255,7 +257,9 @@ def _relief_change(a: Catalog, b: Catalog) -> ReliefChange | None:
     return ReliefChange(cells, float(np.abs(means).max()), rms, float(np.abs(max_heights).max()))
 
 
-def _side(catalog: Catalog, shared: IntArray, comparable: bool, stage: Stage) -> ComparedCatalog:
+def _collect_unshared(
+    catalog: Catalog, shared: IntArray, comparable: bool, stage: Stage
+) -> ComparedCatalog:
     """Select what only one catalog has; its patches are read to check that they are intact."""
     alone = ~np.isin(catalog.ids, shared)
     for number in catalog.ids[alone].tolist():
@@ -265,7 +269,7 @@ def _side(catalog: Catalog, shared: IntArray, comparable: bool, stage: Stage) ->
     return ComparedCatalog(catalog.path, catalog.meta, only)
 
 
-def _same_content(one: tuple[StoredPatch, ...], other: tuple[StoredPatch, ...]) -> bool:
+def _is_same_content(one: tuple[StoredPatch, ...], other: tuple[StoredPatch, ...]) -> bool:
     if one == other:
         return True
     # another release of the compressor may pack the same counts in another way
@@ -278,7 +282,7 @@ def _same_content(one: tuple[StoredPatch, ...], other: tuple[StoredPatch, ...]) 
     )
 
 
-def _height_differences(
+def _compare_heights(
     one: tuple[StoredPatch, ...], other: tuple[StoredPatch, ...]
 ) -> tuple[float, float, int]:
     """Largest and rms difference (m; NaN when no node can be compared), nodes known in one only."""
@@ -298,19 +302,19 @@ def _height_differences(
     return largest, float(np.sqrt(squares / nodes)), holes
 
 
-def _names(meta: CatalogMeta, records: RecordArray) -> NDArray[np.str_]:
+def _list_sources(meta: CatalogMeta, records: RecordArray) -> NDArray[np.str_]:
     """(n,) the texts that the points' `source` stands for."""
     return np.take(np.array([*meta.point_sources, ""], dtype=np.str_), records["source"])
 
 
-def _columns(one: NDArray[np.generic], other: NDArray[np.generic]) -> list[FloatArray]:
+def _align_columns(one: NDArray[np.generic], other: NDArray[np.generic]) -> list[FloatArray]:
     """(n, levels) numbers of two columns, as many as both have: levels may differ."""
     both = [a.astype(np.float64).reshape(len(a), math.prod(a.shape[1:])) for a in (one, other)]
     return [values[:, : min(a.shape[1] for a in both)] for values in both]
 
 
-def _differs(one: NDArray[np.generic], other: NDArray[np.generic]) -> BoolArray:
+def _mark_differences(one: NDArray[np.generic], other: NDArray[np.generic]) -> BoolArray:
     """(n,) where two columns of numbers, or of lists of them, differ; unknown equals unknown."""
-    a, b = _columns(one, other)
+    a, b = _align_columns(one, other)
     different: BoolArray = ((a != b) & ~(np.isnan(a) & np.isnan(b))).any(axis=1)
     return different

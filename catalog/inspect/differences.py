@@ -8,7 +8,7 @@ import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.control_point import Flag
-from catalog.files import replacing_file, starts_with
+from catalog.files import make_prefix_test, replace_file
 from catalog.inspect.compare import CERTIFICATE, LISTS, SCORES, ComparedCatalog, Comparison
 from catalog.inspect.summary import Document
 from catalog.store.records import Record
@@ -17,7 +17,7 @@ from catalog.tables import CsvColumn, CsvTable
 SHOWN = 10  # lines a kind; the table (`difference_table`) has all
 
 
-def summary(comparison: Comparison) -> str:
+def summarise(comparison: Comparison) -> str:
     """Summarise the differences in one line; "" without any."""
     words = {
         "only_in_first": f"points only in {comparison.first.path.name}",
@@ -26,16 +26,16 @@ def summary(comparison: Comparison) -> str:
     }
     return ", ".join(
         f"{words.get(what, what.replace('_', ' '))}: {number}"
-        for what, number in counts(comparison).items()
+        for what, number in count_differences(comparison).items()
         if number
     )
 
 
-def counts(comparison: Comparison) -> dict[str, int]:
+def count_differences(comparison: Comparison) -> dict[str, int]:
     """Count the settings that differ, and the points by kind of difference."""
-    moved, usable = comparison.moved_m > 0.0, comparison.field_changed("usable")
-    reasons = comparison.field_changed("flags") & ~usable
-    certificate = np.any([comparison.field_changed(name) for name in CERTIFICATE], axis=0)
+    moved, usable = comparison.moved_m > 0.0, comparison.mark_changed("usable")
+    reasons = comparison.mark_changed("flags") & ~usable
+    certificate = np.any([comparison.mark_changed(name) for name in CERTIFICATE], axis=0)
     return {
         "settings": len(comparison.settings),
         "only_in_first": len(comparison.first.only),
@@ -43,10 +43,10 @@ def counts(comparison: Comparison) -> dict[str, int]:
         "moved": int(moved.sum()),
         "usable": int(usable.sum()),
         "other_reasons": int(reasons.sum()),
-        "other_radius_in_place": int((comparison.field_changed("radius_m") & ~moved).sum()),
+        "other_radius_in_place": int((comparison.mark_changed("radius_m") & ~moved).sum()),
         "other_heights_in_place": int((comparison.patches & ~moved).sum()),
         "other_certificate": int(certificate.sum()),
-        "other_terrain_model": int(comparison.field_changed("source").sum()),
+        "other_terrain_model": int(comparison.mark_changed("source").sum()),
     }
 
 
@@ -65,15 +65,15 @@ def comparison_document(comparison: Comparison) -> Document:
             for name, side in sides.items()
         },
         "comparable": comparison.comparable,
-        "counts": counts(comparison),
+        "counts": count_differences(comparison),
         "settings": [change._asdict() for change in comparison.settings],
         "not_content": [change._asdict() for change in comparison.provenance],
         "relief": comparison.relief and comparison.relief._asdict(),
-        "points": [dict.fromkeys(DIFFERENCES.names) | row for row in _sorted_rows(comparison)],
+        "points": [dict.fromkeys(DIFFERENCES.names) | row for row in _sort_rows(comparison)],
     }
 
 
-def lines(comparison: Comparison) -> Iterator[str]:
+def format_lines(comparison: Comparison) -> Iterator[str]:
     """The differences, a kind after the other, the greatest of each first."""
     for name, side in (("first", comparison.first), ("second", comparison.second)):
         meta = side.meta
@@ -94,48 +94,53 @@ def lines(comparison: Comparison) -> Iterator[str]:
             f"{relief.mean_rms_m:.3f} m, tops max {relief.top_max_m:.3f} m"
         )
     for side in (comparison.first, comparison.second):
-        yield from _alone(side)
-    yield from _places(comparison)
-    yield from _use(comparison)
-    yield from _heights(comparison)
-    yield from _certificates(comparison)
+        yield from _describe_unshared(side)
+    yield from _describe_moves(comparison)
+    yield from _describe_use(comparison)
+    yield from _describe_heights(comparison)
+    yield from _describe_certificates(comparison)
 
 
-def _alone(side: ComparedCatalog) -> Iterator[str]:
+def _describe_unshared(side: ComparedCatalog) -> Iterator[str]:
     if len(side.only):
-        yield f"only in {side.path}: {_points(len(side.only))}"
-        yield from _shortened(
+        yield f"only in {side.path}: {_format_count(len(side.only))}"
+        yield from _list_first(
             list(side.only), lambda r: f"{r['id']}: at {r['lat_deg']:.5f}, {r['lon_deg']:.5f}"
         )
 
 
-def _places(comparison: Comparison) -> Iterator[str]:
+def _describe_moves(comparison: Comparison) -> Iterator[str]:
     moved = comparison.moved_m[comparison.moved_m > 0.0]
     if len(moved):
         spread = f"median {np.median(moved):.3f} m, max {moved.max():.3f} m"
-        yield f"moved: {_points(len(moved))}, {spread}"
-        yield from _greatest(comparison, comparison.moved_m > 0.0, "{:.3f} m", comparison.moved_m)
+        yield f"moved: {_format_count(len(moved))}, {spread}"
+        yield from _list_greatest(
+            comparison, comparison.moved_m > 0.0, "{:.3f} m", comparison.moved_m
+        )
     radius = comparison.after["radius_m"] - comparison.before["radius_m"]
-    still = comparison.field_changed("radius_m") & (comparison.moved_m == 0.0)
+    still = comparison.mark_changed("radius_m") & (comparison.moved_m == 0.0)
     if still.any():
-        yield f"radius of points in place: {_points(still.sum())}, {_largest(radius[still])} m"
-        yield from _greatest(comparison, still, "{:+.3f} m", radius)
+        changes = _summarise_changes(radius[still])
+        yield f"radius of points in place: {_format_count(still.sum())}, {changes} m"
+        yield from _list_greatest(comparison, still, "{:+.3f} m", radius)
 
 
-def _use(comparison: Comparison) -> Iterator[str]:
+def _describe_use(comparison: Comparison) -> Iterator[str]:
     before, after = comparison.before["usable"] != 0, comparison.after["usable"] != 0
     for name, chosen in (
         ("no longer usable", before & ~after),
         ("newly usable", after & ~before),
-        ("other reasons", comparison.field_changed("flags") & (before == after)),
+        ("other reasons", comparison.mark_changed("flags") & (before == after)),
     ):
-        yield from _pairs(name, comparison, chosen, lambda _, record: _state(record))
-    yield from _pairs(
-        "other terrain model", comparison, comparison.field_changed("source"), _source
+        yield from _describe_pairs(
+            name, comparison, chosen, lambda _, record: _describe_state(record)
+        )
+    yield from _describe_pairs(
+        "other terrain model", comparison, comparison.mark_changed("source"), _find_source
     )
 
 
-def _pairs(
+def _describe_pairs(
     name: str,
     comparison: Comparison,
     chosen: BoolArray,
@@ -144,8 +149,8 @@ def _pairs(
     """A line with the number of chosen points, and what each is in both catalogs."""
     rows = np.flatnonzero(chosen)
     if rows.size:
-        yield f"{name}: {_points(rows.size)}"
-        yield from _shortened(
+        yield f"{name}: {_format_count(rows.size)}"
+        yield from _list_first(
             rows,
             lambda row: (
                 f"{comparison.ids[row]}: {text(comparison.first, comparison.before[row])} -> "
@@ -154,13 +159,13 @@ def _pairs(
         )
 
 
-def _heights(comparison: Comparison) -> Iterator[str]:
+def _describe_heights(comparison: Comparison) -> Iterator[str]:
     changed = comparison.patches & (comparison.moved_m == 0.0)
     if not changed.any():
         return
     largest = comparison.height_max_m[changed]
     known = np.isfinite(largest)
-    text = f"heights of points in place: {_points(changed.sum())}"
+    text = f"heights of points in place: {_format_count(changed.sum())}"
     if known.any():
         squares = np.square(comparison.height_rms_m[changed][known])
         text += f", max {largest[known].max():.3f} m, rms {np.sqrt(squares.mean()):.3f} m"
@@ -170,19 +175,19 @@ def _heights(comparison: Comparison) -> Iterator[str]:
         text += f", {comparison.holes[changed].sum()} nodes with a height in one only"
     yield text
     sizes = comparison.height_max_m, comparison.height_rms_m
-    yield from _greatest(comparison, changed, "max {:.3f} m, rms {:.3f} m", *sizes)
+    yield from _list_greatest(comparison, changed, "max {:.3f} m, rms {:.3f} m", *sizes)
 
 
-def _certificates(comparison: Comparison) -> Iterator[str]:
+def _describe_certificates(comparison: Comparison) -> Iterator[str]:
     for name in CERTIFICATE:
-        chosen = comparison.field_changed(name)
+        chosen = comparison.mark_changed(name)
         if chosen.any():
-            change = comparison.field_change(name)
-            yield f"{name}: {_points(chosen.sum())}, {_largest(change[chosen])}"
-            yield from _greatest(comparison, chosen, "by {:.4g}", change)
+            change = comparison.measure_change(name)
+            yield f"{name}: {_format_count(chosen.sum())}, {_summarise_changes(change[chosen])}"
+            yield from _list_greatest(comparison, chosen, "by {:.4g}", change)
 
 
-def _largest(changes: FloatArray) -> str:
+def _summarise_changes(changes: FloatArray) -> str:
     """The median and the largest of some changes, those from or to unknown aside."""
     sizes = np.abs(changes[np.isfinite(changes)])
     unknown = len(changes) - len(sizes)
@@ -190,7 +195,7 @@ def _largest(changes: FloatArray) -> str:
     return ", ".join(parts + ([f"{unknown} known in one only"] if unknown else []))
 
 
-def _greatest(
+def _list_greatest(
     comparison: Comparison, chosen: BoolArray, form: str, *sizes: FloatArray
 ) -> Iterator[str]:
     """Lines of the chosen points with the largest of the first sizes."""
@@ -198,32 +203,34 @@ def _greatest(
     known = np.nan_to_num(np.abs(sizes[0][rows]), nan=np.inf)
     rows = rows[np.argsort(-known, kind="stable")]
     form = f"{{}}: {form}"
-    yield from _shortened(
+    yield from _list_first(
         rows, lambda row: form.format(*(a[row] for a in (comparison.ids, *sizes)))
     )
 
 
-def _points(number: int | np.integer[Any]) -> str:
+def _format_count(number: int | np.integer[Any]) -> str:
     return f"{number} point" if number == 1 else f"{number} points"
 
 
-def _shortened(items: Sequence[Any] | IndexArray, text: Callable[[Any], str]) -> Iterator[str]:
+def _list_first(items: Sequence[Any] | IndexArray, text: Callable[[Any], str]) -> Iterator[str]:
     yield from (f"  {text(item)}" for item in items[:SHOWN])
     if len(items) > SHOWN:
         yield f"  and {len(items) - SHOWN} more"
 
 
-def _state(record: Record) -> str:
+def _describe_state(record: Record) -> str:
     reasons = Flag(int(record["flags"])).label
     state = "usable" if record["usable"] else "not usable"
     return f"{state} ({reasons})" if reasons else state
 
 
-def _source(side: ComparedCatalog, record: Record) -> str:
+def _find_source(side: ComparedCatalog, record: Record) -> str:
     return side.meta.point_sources[int(record["source"])] or "none"
 
 
-def _pair(name: str, meaning: str, kind: Literal["text", "number"], form: str) -> list[CsvColumn]:
+def _make_column_pair(
+    name: str, meaning: str, kind: Literal["text", "number"], form: str
+) -> list[CsvColumn]:
     return [
         CsvColumn(f"{name}_{which}", f"{meaning} in the {which}", kind, form=form, empty=True)
         for which in ("first", "second")
@@ -239,12 +246,12 @@ DIFFERENCES = CsvTable(
         CsvColumn("height_max_m", "largest change of a height", unit="m", form=".3f", empty=True),
         CsvColumn("height_rms_m", "rms change of its heights", unit="m", form=".3f", empty=True),
         CsvColumn("nodes_in_one_only", "nodes with a height in one only", "count", empty=True),
-        *_pair("lat_deg", "latitude", "number", ".10g"),
-        *_pair("lon_deg", "longitude", "number", ".10g"),
-        *_pair("usable", "1 for a usable point", "text", ""),
-        *_pair("reasons", "why it is not usable", "text", ""),
-        *_pair("source", "terrain model", "text", ""),
-        *(column for name in SCORES for column in _pair(name, name, "number", ".10g")),
+        *_make_column_pair("lat_deg", "latitude", "number", ".10g"),
+        *_make_column_pair("lon_deg", "longitude", "number", ".10g"),
+        *_make_column_pair("usable", "1 for a usable point", "text", ""),
+        *_make_column_pair("reasons", "why it is not usable", "text", ""),
+        *_make_column_pair("source", "terrain model", "text", ""),
+        *(column for name in SCORES for column in _make_column_pair(name, name, "number", ".10g")),
         *(
             CsvColumn(f"{name}_change", f"largest change of {name}", form=".4g", empty=True)
             for name in LISTS
@@ -253,7 +260,7 @@ DIFFERENCES = CsvTable(
 )
 
 
-is_table = starts_with(",".join(DIFFERENCES.names[:6]).encode())
+is_table = make_prefix_test(",".join(DIFFERENCES.names[:6]).encode())
 
 
 def write_table(comparison: Comparison, path: Path) -> int:
@@ -261,20 +268,20 @@ def write_table(comparison: Comparison, path: Path) -> int:
 
     Raises OutputError for a place that cannot be written or an existing file that is no such table.
     """
-    with replacing_file(path, is_table) as new:
-        return DIFFERENCES.write(new, _sorted_rows(comparison))
+    with replace_file(path, is_table) as new:
+        return DIFFERENCES.write(new, _sort_rows(comparison))
 
 
-def _sorted_rows(comparison: Comparison) -> list[Document]:
-    return sorted(_rows(comparison), key=lambda row: int(row["id"]))
+def _sort_rows(comparison: Comparison) -> list[Document]:
+    return sorted(_make_rows(comparison), key=lambda row: int(row["id"]))
 
 
-def _rows(comparison: Comparison) -> Iterator[Document]:
+def _make_rows(comparison: Comparison) -> Iterator[Document]:
     for suffix, side in (("first", comparison.first), ("second", comparison.second)):
         for record in side.only:
             row: Document = {"id": int(record["id"]), "change": f"only in {suffix}"}
-            yield row | _columns(side, record, suffix)
-    lists = {name: comparison.field_change(name) for name in LISTS}
+            yield row | _collect_columns(side, record, suffix)
+    lists = {name: comparison.measure_change(name) for name in LISTS}
     for number, (before, after) in enumerate(zip(comparison.before, comparison.after)):
         row = {
             "id": int(before["id"]),
@@ -286,11 +293,11 @@ def _rows(comparison: Comparison) -> Iterator[Document]:
             "nodes_in_one_only": int(comparison.holes[number]),
         }
         row |= {f"{name}_change": float(lists[name][number]) for name in LISTS}
-        row |= _columns(comparison.first, before, "first")
-        yield row | _columns(comparison.second, after, "second")
+        row |= _collect_columns(comparison.first, before, "first")
+        yield row | _collect_columns(comparison.second, after, "second")
 
 
-def _columns(side: ComparedCatalog, record: Record, suffix: str) -> Document:
+def _collect_columns(side: ComparedCatalog, record: Record, suffix: str) -> Document:
     """Return the columns of the table that describe a point in one catalog."""
     columns: Document = {
         "usable": int(record["usable"]),

@@ -41,7 +41,7 @@ def draw_pyramid(pyramid: Pyramid, radius_m: float) -> ByteArray:
     width = GAP_PX + columns * (TILE_PX + GAP_PX)
     height = HEAD_PX + 2 * (TILE_PX + LABEL_PX) + GAP_PX
     picture: ByteArray = np.full((height, width, 3), _PAPER, dtype=np.uint8)
-    _head(picture, pyramid)
+    _draw_head(picture, pyramid)
     azimuth, elevation = np.radians(SUN_AZIMUTH_DEG), np.radians(SUN_ELEVATION_DEG)
     across = np.cos(elevation)
     sun = np.array([across * np.sin(azimuth), across * np.cos(azimuth), np.sin(elevation)])
@@ -52,8 +52,10 @@ def draw_pyramid(pyramid: Pyramid, radius_m: float) -> ByteArray:
             patch.heights_m, patch.posting_m, sun, radius_m=radius_m, law="hapke", outer=outer
         )
         finer = levels[level - 1] if level else None
-        _tile(picture, HEAD_PX, left, _heights_in_colour(patch), patch, finer)
-        _tile(picture, HEAD_PX + TILE_PX + LABEL_PX, left, _in_grey(bright), patch, finer)
+        _draw_tile(picture, HEAD_PX, left, _render_heights(patch), patch, finer)
+        _draw_tile(
+            picture, HEAD_PX + TILE_PX + LABEL_PX, left, _render_brightness(bright), patch, finer
+        )
         _write(picture, _label(level, patch), left, HEAD_PX + TILE_PX + 15)
         extent_km = patch.posting_m * patch.size / 1000.0
         _write(picture, f"{extent_km:.4g} km wide", left, HEAD_PX + 2 * TILE_PX + LABEL_PX + 15)
@@ -82,7 +84,7 @@ def _is_ours(path: Path) -> bool:
         return file.read(HEADER_BYTES + len(OUR_MARK))[HEADER_BYTES:] == OUR_MARK
 
 
-def _head(picture: ByteArray, pyramid: Pyramid) -> None:
+def _draw_head(picture: ByteArray, pyramid: Pyramid) -> None:
     point = pyramid.point
     verdict = "usable" if point.usable else "not usable"
     reasons = point.flags.label
@@ -110,7 +112,7 @@ def _write(picture: ByteArray, text: str, x: int, y: int, size: float = 0.42) ->
     cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, _INK, 1, cv2.LINE_AA)
 
 
-def _tile(
+def _draw_tile(
     picture: ByteArray, top: int, left: int, tile: ByteArray, patch: Patch, finer: Patch | None
 ) -> None:
     """Put a tile in its place, pixels enlarged, with the box of the finer level."""
@@ -123,7 +125,7 @@ def _tile(
         cv2.rectangle(picture, (x - half, y - half), (x + half, y + half), _FRAME, 1)
 
 
-def _heights_in_colour(patch: Patch) -> ByteArray:
+def _render_heights(patch: Patch) -> ByteArray:
     heights = patch.heights_m
     known = np.isfinite(heights)
     if not known.any():
@@ -144,7 +146,7 @@ def _heights_in_colour(patch: Patch) -> ByteArray:
     return toned
 
 
-def _in_grey(brightness: Float32Array) -> ByteArray:
+def _render_brightness(brightness: Float32Array) -> ByteArray:
     known = np.isfinite(brightness)
     lit = brightness[known & (brightness > 0.0)]
     top = float(np.percentile(lit, 99.5)) if lit.size else 1.0

@@ -23,16 +23,21 @@ from rasterio.transform import Affine
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.errors import DataError, OutputError
-from catalog.files import check_file, replacing_file, starts_with, write_output
+from catalog.files import check_file, make_prefix_test, replace_file, write_output
 from catalog.geometry.projection import make_node_grid
 from catalog.inspect.summary import shift_document
 from catalog.rasters import DESCRIPTION, encode_geotiff, is_described
 from catalog.store.comparison import insert_shifts
 from catalog.store.connection import SIDECARS, is_points_file
-from catalog.store.geopackage import MAP_AXES, new_geopackage, srs_of, stereographic_wkt
+from catalog.store.geopackage import (
+    MAP_AXES,
+    define_srs,
+    format_stereographic_wkt,
+    open_new_geopackage,
+)
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
-from catalog.store.records import unknown_as_none
+from catalog.store.records import replace_unknown
 from catalog.store.schema import POINT_LAYER, insert_service_rows
 from catalog.store.writer import insert_features
 from catalog.tables import CsvColumn, CsvTable
@@ -78,7 +83,7 @@ def export(catalog: Catalog, path: str | Path) -> int:
     return len(catalog)
 
 
-def point_properties(catalog: Catalog, point: ControlPoint) -> Properties:
+def collect_properties(catalog: Catalog, point: ControlPoint) -> Properties:
     """Attributes of a point under the names that the feature layer uses, lists spread out.
 
     With where the comparison model has it, in a catalog with one.
@@ -87,27 +92,27 @@ def point_properties(catalog: Catalog, point: ControlPoint) -> Properties:
         "id": point.id,
         "lon_deg": point.lon_deg,
         "lat_deg": point.lat_deg,
-        "radius_m": unknown_as_none(point.radius_m),
+        "radius_m": replace_unknown(point.radius_m),
         "usable": int(point.usable),
         "reasons": point.flags.label,
         "flags": int(point.flags),
-        "localisation_nodes": unknown_as_none(point.localisation_nodes),
-        "hessian_eigenvalue": unknown_as_none(point.hessian_eigenvalue),
-        "recognition_rate": unknown_as_none(point.recognition_rate),
+        "localisation_nodes": replace_unknown(point.localisation_nodes),
+        "hessian_eigenvalue": replace_unknown(point.hessian_eigenvalue),
+        "recognition_rate": replace_unknown(point.recognition_rate),
         "trials": point.trials,
         "source": point.source,
     }
     for level, margin in enumerate(point.uniqueness):
-        properties[f"uniqueness_{level}"] = unknown_as_none(margin)
+        properties[f"uniqueness_{level}"] = replace_unknown(margin)
     for (name, _), limit in zip(SHADOW_COLUMNS, point.shadow_limit_deg):
-        properties[name] = unknown_as_none(limit)
+        properties[name] = replace_unknown(limit)
     if catalog.meta.comparison is not None:
         properties |= shift_document(catalog.shifts.get(point.id))
     return properties
 
 
-def _geojson_lines(catalog: Catalog) -> Iterator[str]:
-    _, _, organization, code, wkt = srs_of(catalog.meta.body, catalog.meta.radius_m)
+def _format_geojson(catalog: Catalog) -> Iterator[str]:
+    _, _, organization, code, wkt = define_srs(catalog.meta.body, catalog.meta.radius_m)
     name = f"urn:ogc:def:crs:IAU:2015:{code}" if organization == "IAU_2015" else wkt
     crs = {"type": "name", "properties": {"name": name}}
     yield f'{GEOJSON_START},"crs":{json.dumps(crs)},"features":['
@@ -116,19 +121,19 @@ def _geojson_lines(catalog: Catalog) -> Iterator[str]:
             "type": "Feature",
             "id": point.id,
             "geometry": {"type": "Point", "coordinates": [point.lon_deg, point.lat_deg]},
-            "properties": point_properties(catalog, point),
+            "properties": collect_properties(catalog, point),
         }
         yield (",\n" if number else "\n") + json.dumps(feature, separators=(",", ":"))
     yield "\n]}\n"
 
 
 def _write_geojson(catalog: Catalog, path: Path) -> None:
-    ours = starts_with(GEOJSON_START.encode())
-    with replacing_file(path, ours) as new, new.open("w", encoding="utf-8") as file:
-        file.writelines(_geojson_lines(catalog))
+    ours = make_prefix_test(GEOJSON_START.encode())
+    with replace_file(path, ours) as new, new.open("w", encoding="utf-8") as file:
+        file.writelines(_format_geojson(catalog))
 
 
-def points_table(levels: int, compared: bool) -> CsvTable:
+def make_points_table(levels: int, compared: bool) -> CsvTable:
     """The columns of the CSV layer of a catalog whose points have so many levels.
 
     compared  whether a second terrain model has been compared
@@ -165,25 +170,28 @@ def points_table(levels: int, compared: bool) -> CsvTable:
 
 
 def _write_csv(catalog: Catalog, path: Path) -> None:
-    table = points_table(catalog.meta.levels, catalog.meta.comparison is not None)
+    table = make_points_table(catalog.meta.levels, catalog.meta.comparison is not None)
     kinds = {"lon_deg": "CoordX", "lat_deg": "CoordY", "text": "String", "number": "Real"}
     columns = ((column.name, kinds.get(column.kind, "Integer64")) for column in table.columns)
     types = ",".join(kinds.get(name, kind) for name, kind in columns)
-    wkt = srs_of(catalog.meta.body, catalog.meta.radius_m)[4]
+    wkt = define_srs(catalog.meta.body, catalog.meta.radius_m)[4]
     sides = {path.with_suffix(".csvt"): types, path.with_suffix(".prj"): wkt}
-    with replacing_file(path, starts_with(",".join(table.names[:6]).encode())) as new:
+    with replace_file(path, make_prefix_test(",".join(table.names[:6]).encode())) as new:
         # those beside a layer of ours are ours; a lone .prj may belong to another layer
         again = path.is_file() and path.stat().st_size > 0
-        ours = (lambda _: True) if again else starts_with(wkt.encode(), types.encode())
+        ours = (lambda _: True) if again else make_prefix_test(wkt.encode(), types.encode())
         for side in sides:
             check_file(side, ours)
-        table.write(new, (point_properties(catalog, point) for point in catalog.points()))
+        table.write(new, (collect_properties(catalog, point) for point in catalog.points()))
         for side, text in sides.items():
             write_output(side, f"{text}\n".encode(), ours)
 
 
 def _write_geopackage(catalog: Catalog, path: Path) -> None:
-    with replacing_file(path, is_points_file, SIDECARS) as partial, new_geopackage(partial) as db:
+    with (
+        replace_file(path, is_points_file, SIDECARS) as partial,
+        open_new_geopackage(partial) as db,
+    ):
         POINT_LAYER.create(db)
         extent = insert_features(db, catalog.meta, zip(catalog.points(), catalog.records))
         if catalog.meta.comparison is not None:
@@ -197,7 +205,7 @@ def export_patch(catalog: Catalog, point_id: int, level: int, path: Path) -> int
     Raises DataError for a point or level that is not there or a patch with holes, OutputError for
     a place that cannot be written or an existing file that is no such export.
     """
-    vertices, faces = patch_solid(catalog, point_id, level)
+    vertices, faces = make_patch_solid(catalog, point_id, level)
     name = f"{PATCH_NAME} {point_id} level {level}"
     data: bytes
     if path.suffix.lower() == ".glb":
@@ -211,7 +219,7 @@ def export_patch(catalog: Catalog, point_id: int, level: int, path: Path) -> int
     return len(faces)
 
 
-def patch_of(catalog: Catalog, point_id: int, level: int) -> tuple[ControlPoint, Patch]:
+def find_patch(catalog: Catalog, point_id: int, level: int) -> tuple[ControlPoint, Patch]:
     """A point and its patch of a level. Raises DataError for one that is not there."""
     point, patches = catalog.point(point_id), catalog.patches(point_id)
     if not 0 <= level < len(patches):
@@ -222,9 +230,9 @@ def patch_of(catalog: Catalog, point_id: int, level: int) -> tuple[ControlPoint,
     return point, patches[level]
 
 
-def patch_solid(catalog: Catalog, point_id: int, level: int) -> tuple[FloatArray, IntArray]:
+def make_patch_solid(catalog: Catalog, point_id: int, level: int) -> tuple[FloatArray, IntArray]:
     """Vertices (n, 3), m, east, north, up from the point, and outward triangles (m, 3)."""
-    point, patch = patch_of(catalog, point_id, level)
+    point, patch = find_patch(catalog, point_id, level)
     holes = int(np.isnan(patch.heights_m).sum())
     if holes:
         raise DataError(
@@ -238,7 +246,7 @@ def patch_solid(catalog: Catalog, point_id: int, level: int) -> tuple[FloatArray
     projection = catalog.meta.projection(point)
     placed = np.stack([projection.points(x, y, h) for h in (heights, base)])
     vertices = (placed.reshape(-1, 3) - point.xyz_m) @ projection.body_from_local
-    faces = _faces(size)
+    faces = _make_faces(size)
     solid = manifold3d.Manifold(
         manifold3d.Mesh64(vert_properties=vertices, tri_verts=faces.astype(np.uint64))
     )
@@ -250,7 +258,7 @@ def patch_solid(catalog: Catalog, point_id: int, level: int) -> tuple[FloatArray
     return vertices, faces
 
 
-def _faces(size: int) -> IntArray:
+def _make_faces(size: int) -> IntArray:
     """Triangles of two square grids of nodes, the ground's first, and of the sides between."""
     top = np.arange(size * size).reshape(size, size)  # row 0 north
     a, b = top[1:, :-1].ravel(), top[1:, 1:].ravel()  # south-west, south-east
@@ -285,7 +293,7 @@ def export_relief(catalog: Catalog, path: Path) -> int:
     rows = len(relief.heights)
     step = 180.0 / rows
     georeference = {
-        "crs": rasterio.CRS.from_wkt(srs_of(catalog.meta.body, catalog.meta.radius_m)[4]),
+        "crs": rasterio.CRS.from_wkt(define_srs(catalog.meta.body, catalog.meta.radius_m)[4]),
         "transform": Affine(step, 0.0, -180.0, 0.0, -step, 90.0),
         "tiled": True,
     }
@@ -301,10 +309,10 @@ def export_patch_heights(catalog: Catalog, point_id: int, level: int, path: Path
     the plane that touches the body below it. Nodes without ground are NaN, which is its nodata.
     Raises DataError for a point or level that is not there, OutputError as `export_relief`.
     """
-    point, patch = patch_of(catalog, point_id, level)
+    point, patch = find_patch(catalog, point_id, level)
     half = patch.posting_m * patch.size / 2.0
     georeference = {
-        "crs": rasterio.CRS.from_wkt(_patch_system(catalog.meta, point)),
+        "crs": rasterio.CRS.from_wkt(_format_patch_system(catalog.meta, point)),
         "transform": Affine(patch.posting_m, 0.0, -half, 0.0, -patch.posting_m, half),
         "nodata": np.nan,
     }
@@ -315,10 +323,10 @@ def export_patch_heights(catalog: Catalog, point_id: int, level: int, path: Path
     return patch.size
 
 
-def _patch_system(meta: CatalogMeta, point: ControlPoint) -> str:
+def _format_patch_system(meta: CatalogMeta, point: ControlPoint) -> str:
     """The map projection of a point's patches, as WKT."""
     if meta.planes is None:
-        return stereographic_wkt(
+        return format_stereographic_wkt(
             meta.body,
             f"control point {point.id}",
             meta.radius_m,
@@ -338,7 +346,7 @@ def _write_raster(
     tags: Mapping[str, str],
 ) -> None:
     """Write grids as bands, with their descriptions; all of them are metres."""
-    with replacing_file(path, _is_our_raster) as partial:
+    with replace_file(path, _is_our_raster) as partial:
         partial.write_bytes(encode_geotiff(bands, place, tags, unit="m"))
 
 

@@ -20,14 +20,14 @@ MAX_CELLS_AWAY = 2.0  # sides of a cell
 Document = dict[str, Any]  # plain values by name, units in the names
 
 
-def rejected_by_reason(catalog: Catalog) -> dict[str, int]:
+def count_rejected(catalog: Catalog) -> dict[str, int]:
     """Count the unusable points with each flag; a point may have several."""
     flags = catalog.records["flags"][~catalog.usable]
     counts = {flag.label: int(np.count_nonzero(flags & int(flag))) for flag in Flag}
     return {reason: number for reason, number in counts.items() if number}
 
 
-def extent_deg(catalog: Catalog) -> Document | None:
+def measure_extent(catalog: Catalog) -> Document | None:
     """The box that holds the points, None without any; west > east across ±180°."""
     if len(catalog) == 0:
         return None
@@ -53,27 +53,31 @@ def catalog_document(catalog: Catalog) -> Document:
         "format": meta.format_version,
         "body": meta.body,
         "radius_m": meta.radius_m,
-        "planes": _planes(meta),
+        "planes": _describe_planes(meta),
         "cell_deg": meta.cell_deg,
         "cells_on_body": catalog.grid.total,
         "points": len(catalog),
         "usable": usable,
         "rejected": len(catalog) - usable,
-        "rejected_by_reason": rejected_by_reason(catalog),
-        "extent": extent_deg(catalog),
+        "rejected_by_reason": count_rejected(catalog),
+        "extent": measure_extent(catalog),
         "levels": meta.levels,
         "size_nodes": meta.size,
         "posting_m": [meta.posting_m * 2**level for level in range(meta.levels)],
         "height_step_m": meta.height_step_m,
-        "recognition_rate_usable": _spread(catalog.records["recognition_rate"][catalog.usable]),
-        "localisation_nodes_usable": _spread(catalog.records["localisation_nodes"][catalog.usable]),
-        "relief": _relief(meta),
+        "recognition_rate_usable": _summarise_values(
+            catalog.records["recognition_rate"][catalog.usable]
+        ),
+        "localisation_nodes_usable": _summarise_values(
+            catalog.records["localisation_nodes"][catalog.usable]
+        ),
+        "relief": _describe_relief(meta),
         "terrain_errors": {
             name: {"error_m": e.error_m, "resolution_km": e.resolution_km, "source": e.source}
-            | {"of_gld100": e.against_gld100, "template_sigma_m": _template_sigma_m(e, meta)}
+            | {"of_gld100": e.against_gld100, "template_sigma_m": _compute_template_sigmas(e, meta)}
             for name, e in meta.terrain_errors.items()
         },
-        "comparison": _comparison(catalog),
+        "comparison": _summarise_comparison(catalog),
         "software": meta.software,
         "created_utc": meta.created_utc,
         "size_bytes": catalog.path.stat().st_size,
@@ -95,7 +99,7 @@ def describe(document: Document) -> dict[str, str]:
     return lines
 
 
-def _planes(meta: CatalogMeta) -> Document | None:
+def _describe_planes(meta: CatalogMeta) -> Document | None:
     """Describe the ellipsoid of tangent-plane patches and the posting of the shape model."""
     if meta.planes is None:
         return None
@@ -107,7 +111,7 @@ def _planes(meta: CatalogMeta) -> Document | None:
     }
 
 
-def _relief(meta: CatalogMeta) -> Document | None:
+def _describe_relief(meta: CatalogMeta) -> Document | None:
     """Cells, their size on the ground and the origin of the relief of the whole body."""
     if meta.relief is None:
         return None
@@ -116,7 +120,7 @@ def _relief(meta: CatalogMeta) -> Document | None:
     return {"rows": rows, "columns": 2 * rows, "cell_m": side, "source": meta.relief.source}
 
 
-def _spread(values: FloatArray) -> Document | None:
+def _summarise_values(values: FloatArray) -> Document | None:
     known = values[np.isfinite(values)]
     if known.size == 0:
         return None
@@ -126,7 +130,7 @@ def _spread(values: FloatArray) -> Document | None:
     return {"median": middle, "percentile_10": low, "percentile_90": high}
 
 
-def _planes_lines(planes: Document | None) -> dict[str, str]:
+def _format_planes(planes: Document | None) -> dict[str, str]:
     if planes is None:
         return {}
     radii = ", ".join(f"{radius:.12g}" for radius in planes["radii_m"])
@@ -137,28 +141,28 @@ def _planes_lines(planes: Document | None) -> dict[str, str]:
     }
 
 
-def _spread_words(spread: Document | None) -> str:
+def _format_spread(spread: Document | None) -> str:
     words = "median {median:.3f}, 10 % below {percentile_10:.3f}, 90 % below {percentile_90:.3f}"
     return words.format(**spread) if spread else "unknown"
 
 
-def _extent_words(extent: Document) -> str:
+def _format_extent(extent: Document) -> str:
     words = "west {west_deg:.4f}, south {south_deg:.4f}, east {east_deg:.4f}, north {north_deg:.4f}"
     return words.format(**extent)
 
 
-def _relief_words(relief: Document | None) -> str:
+def _format_relief(relief: Document | None) -> str:
     words = "{rows} x {columns} cells of {cell_m:.6g} m, from {source}"
     return words.format(**relief) if relief else "none"
 
 
-def _template_sigma_m(error: TerrainErrorModel, meta: CatalogMeta) -> list[float]:
+def _compute_template_sigmas(error: TerrainErrorModel, meta: CatalogMeta) -> list[float]:
     """Compute the position sigma of a full patch of each level on highlands, m per axis."""
     sides = (meta.size * meta.posting_m * 2**level for level in range(meta.levels))
     return [error.point_sigma_m(side, REFERENCE_SLOPE).shift_m for side in sides]
 
 
-def _comparison(catalog: Catalog) -> Document | None:
+def _summarise_comparison(catalog: Catalog) -> Document | None:
     """Summarise how far the comparison model moves the points."""
     meta = catalog.meta.comparison
     if meta is None:
@@ -178,7 +182,7 @@ def _comparison(catalog: Catalog) -> Document | None:
     }
 
 
-def _comparison_lines(comparison: Document | None) -> dict[str, str]:
+def _format_comparison(comparison: Document | None) -> dict[str, str]:
     if comparison is None:
         return {}
     words = (
@@ -188,32 +192,32 @@ def _comparison_lines(comparison: Document | None) -> dict[str, str]:
     return {f"comparison with {', '.join(comparison['sources'])}": words.format(**comparison)}
 
 
-def _error_words(error: Document) -> str:
+def _format_error(error: Document) -> str:
     words = "{error_m:.6g} m over 2 km, resolution {resolution_km:.6g} km, both together "
     words += "{of_gld100:.2g} of GLD100's; places of templates to "
     sigmas = ", ".join(f"{sigma:.3g}" for sigma in error["template_sigma_m"])
     return words.format(**error) + f"{sigmas} m by level, finest first; {error['source']}"
 
 
-def _error_lines(errors: Document) -> dict[str, str]:
+def _format_errors(errors: Document) -> dict[str, str]:
     if not errors:
         return {"terrain_errors": "none stated: what points have wrong in common as over GLD100"}
-    return {f"error of {name}": _error_words(error) for name, error in errors.items()}
+    return {f"error of {name}": _format_error(error) for name, error in errors.items()}
 
 
 # entries of the document that are more than a value, as lines for people
 _WORDS: dict[str, Callable[[Any], dict[str, str]]] = {
-    "planes": _planes_lines,
+    "planes": _format_planes,
     "rejected_by_reason": lambda counts: {
         f"rejected_{why.replace(' ', '_')}": str(count) for why, count in counts.items()
     },
-    "extent": lambda extent: {"extent_deg": _extent_words(extent)} if extent else {},
-    "recognition_rate_usable": lambda s: {"recognition_rate_usable": _spread_words(s)},
-    "localisation_nodes_usable": lambda s: {"localisation_nodes_usable": _spread_words(s)},
+    "extent": lambda extent: {"extent_deg": _format_extent(extent)} if extent else {},
+    "recognition_rate_usable": lambda s: {"recognition_rate_usable": _format_spread(s)},
+    "localisation_nodes_usable": lambda s: {"localisation_nodes_usable": _format_spread(s)},
     "size_nodes": lambda size: {"size": str(size)},
-    "relief": lambda relief: {"relief": _relief_words(relief)},
-    "comparison": _comparison_lines,
-    "terrain_errors": _error_lines,
+    "relief": lambda relief: {"relief": _format_relief(relief)},
+    "comparison": _format_comparison,
+    "terrain_errors": _format_errors,
     "sources": lambda sources: {f"source {name}": text for name, text in sources.items()},
 }
 
@@ -283,10 +287,10 @@ def describe_point(values: Document) -> dict[str, str]:
         "uniqueness": " ".join(f"{margin:.4g}" for margin in values["uniqueness"]),
         "shadow_limit_deg": " ".join(f"{limit:.4g}" for limit in values["shadow_limit_deg"]),
         "source": values["source"],
-    } | _shift_words(values)
+    } | _format_shift(values)
 
 
-def _shift_words(values: Document) -> dict[str, str]:
+def _format_shift(values: Document) -> dict[str, str]:
     if values["comparison_e_m"] is None:
         return {}
     words = (
@@ -303,7 +307,7 @@ class NearPoint(NamedTuple):
     azimuth_deg: float
 
 
-def nearest_points(
+def find_nearest_points(
     catalog: Catalog, lat_deg: float, lon_deg: float, count: int = 1, only_usable: bool = False
 ) -> list[NearPoint]:
     """The points nearest to a place, the nearest first; fewer where the catalog has no more.
@@ -330,7 +334,7 @@ def nearest_points(
     return [NearPoint(*fields) for fields in zip(points, distances, azimuths.tolist())]
 
 
-def covers(catalog: Catalog, near: NearPoint) -> bool:
+def is_covered(catalog: Catalog, near: NearPoint) -> bool:
     """Whether a place belongs to the ground of a catalog, whose nearest point to it is given.
 
     The diagonal of a cell is 1.4 of its sides, next to a pole 1.8; a point of the next cell serves

@@ -17,9 +17,16 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from catalog.errors import UsageError, WorkersError
-from catalog.jobs.cluster_node import Needs, call_on_node, code_of, files_of, needs_of, unfit
+from catalog.jobs.cluster_node import (
+    Needs,
+    collect_needs,
+    find_misfit,
+    hash_packages,
+    list_files,
+    run_on_node,
+)
 from catalog.jobs.workers import ExecutorWorkers, Workers
-from catalog.jobs.workspace import code_key
+from catalog.jobs.workspace import hash_package
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +46,7 @@ class _SchedulerLostError(Exception):
     """The scheduler does not answer any more."""
 
 
-def cluster_workers(address: str, files: Sequence[Path] = ()) -> Workers:
+def start_cluster_workers(address: str, files: Sequence[Path] = ()) -> Workers:
     """The workers of the scheduler at an address, all of which must be able to read some files.
 
     address  tcp://HOST:PORT
@@ -51,7 +58,7 @@ def cluster_workers(address: str, files: Sequence[Path] = ()) -> Workers:
     check_address(address)
     pool = ClusterPool(address)
     try:
-        pool.need(needs_of(path for path in files if path.is_file()))
+        pool.require_fit(collect_needs(path for path in files if path.is_file()))
     except BaseException:
         pool.close()
         raise
@@ -84,7 +91,7 @@ def load_distributed() -> Any:
     return distributed
 
 
-def unreachable(address: str, reason: str) -> WorkersError:
+def make_unreachable_error(address: str, reason: str) -> WorkersError:
     return WorkersError(
         f"{address}: no scheduler can be reached ({reason}); "
         "check the address and that `dask scheduler` runs there"
@@ -101,16 +108,16 @@ def find_scheduler(address: str) -> None:
         # refused at once where a Client would go on trying
         socket.create_connection((parts.hostname, parts.port), timeout=ANSWER_S).close()
     except OSError as error:
-        raise unreachable(address, (error.strerror or str(error)).lower()) from None
-    task = asyncio.run(_identity_in_time(address))
+        raise make_unreachable_error(address, (error.strerror or str(error)).lower()) from None
+    task = asyncio.run(_query_identity(address))
     if task.cancelled() or isinstance(task.exception(), OSError):
-        raise unreachable(address, f"no word within {ANSWER_S:.0f} s")
+        raise make_unreachable_error(address, f"no word within {ANSWER_S:.0f} s")
     # whatever else went wrong, it did on reading words that are no scheduler's
     if task.exception() is not None or task.result().get("type") != "Scheduler":
-        raise unreachable(address, "what answers there is no scheduler")
+        raise make_unreachable_error(address, "what answers there is no scheduler")
 
 
-async def _identity_in_time(address: str) -> "asyncio.Task[Any]":
+async def _query_identity(address: str) -> "asyncio.Task[Any]":
     async def identity() -> Any:
         async with load_distributed().rpc(address, timeout=ANSWER_S) as scheduler:
             return await scheduler.identity()
@@ -124,12 +131,12 @@ async def _identity_in_time(address: str) -> "asyncio.Task[Any]":
 
 
 class Silence:
-    """Keeps what dask logs off stderr, from `begin` to `end`; not in a run that tells details."""
+    """Keeps what dask logs off stderr, from `start` to `stop`; not in a run that tells details."""
 
     def __init__(self) -> None:
         self._levels: dict[str, int] = {}
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """Raise the levels of their loggers."""
         if log.isEnabledFor(logging.DEBUG) or self._levels:
             return
@@ -140,7 +147,7 @@ class Silence:
                 self._levels[name] = logger.level
                 logger.setLevel(logging.CRITICAL + 1)
 
-    def end(self) -> None:
+    def stop(self) -> None:
         """Put the levels back."""
         for name, level in self._levels.items():
             logging.getLogger(name).setLevel(level)
@@ -154,7 +161,7 @@ class ClusterPool:
 
     def __init__(self, address: str) -> None:
         self.address = address
-        self.call: Callable[..., Any] = call_on_node
+        self.call: Callable[..., Any] = run_on_node
         self._distributed = load_distributed()
         from distributed.scheduler import KilledWorker
 
@@ -172,17 +179,17 @@ class ClusterPool:
         """Worker processes at the last look; 1 while there are none."""
         return max(1, len(self._workers))
 
-    def need(self, needs: Needs) -> None:
+    def require_fit(self, needs: Needs) -> None:
         """Ask all workers, now and whenever the cluster is connected to, whether they are fit."""
         self._needs = needs
         if self._client is None:
             self._connect()
         else:
-            self._ask_all()
+            self._check_workers()
 
     def pack(self, context: Any) -> bytes:
         # 6 kB for one terrain model: no trouble to send with each chunk of seconds of work
-        self.need({**needs_of(files_of(context)), "packages": code_of(context)})
+        self.require_fit({**collect_needs(list_files(context)), "packages": hash_packages(context)})
         return pickle.dumps((self._needs, pickle.dumps(context)))
 
     def executor(self) -> Executor:
@@ -199,7 +206,7 @@ class ClusterPool:
         if now - self._looked < LOOK_S:
             return
         self._looked = now
-        before, self._workers = self._workers, set(self._listed())
+        before, self._workers = self._workers, set(self._list_by_address())
         for address in sorted(before - self._workers):
             log.warning("worker %s has left; its pieces of work go to others", address)
         if self._workers:
@@ -210,7 +217,7 @@ class ClusterPool:
                 f"(out of memory?); {KEPT} when there are workers"
             )
 
-    def survive(self, loss: Exception, losses: int) -> None:
+    def handle_loss(self, loss: Exception, losses: int) -> None:
         if isinstance(loss, ImportError):
             raise WorkersError(
                 f"{self.address}: a worker cannot load what it needs ({loss}); install the same "
@@ -228,29 +235,29 @@ class ClusterPool:
                 f"memory?); see their logs, give them more memory; {KEPT}"
             ) from None
 
-    def abandon(self) -> None:
+    def stop_now(self) -> None:
         """Leave: a scheduler forgets the work of a client that is gone."""
         client, self._client, self._executor = self._client, None, None
         if client is not None:
             client.close(timeout=ANSWER_S)
 
     def close(self) -> None:
-        self.abandon()
-        self._silence.end()
+        self.stop_now()
+        self._silence.stop()
 
     def _connect(self) -> None:
-        self._silence.begin()
+        self._silence.start()
         try:
             find_scheduler(self.address)
             with warnings.catch_warnings():
-                # of versions that differ: those that matter are compared by `unfit`
+                # of versions that differ: those that matter are compared by `find_misfit`
                 warnings.simplefilter("ignore")
                 self._client = self._distributed.Client(
                     self.address, timeout=ANSWER_S, set_as_default=False, name="optnav"
                 )
             self._wait_for_workers()
             try:  # the scheduler too loads the functions that it hands to workers
-                self._client.run_on_scheduler(code_key)
+                self._client.run_on_scheduler(hash_package)
             except (ImportError, AttributeError) as error:
                 raise WorkersError(
                     f"{self.address}: the scheduler cannot load optnav ({error}); start it from an "
@@ -258,17 +265,17 @@ class ClusterPool:
                 ) from None
             except (OSError, RuntimeError) as error:
                 raise _SchedulerLostError from error
-            self._ask_all()
+            self._check_workers()
         except _SchedulerLostError:
-            self.abandon()
-            raise unreachable(self.address, "it stopped answering") from None
+            self.stop_now()
+            raise make_unreachable_error(self.address, "it stopped answering") from None
         except BaseException:
-            self.abandon()
+            self.stop_now()
             raise
 
     def _wait_for_workers(self) -> None:
         until = time.monotonic() + ARRIVE_S
-        while not (listed := self._listed()) and time.monotonic() < until:
+        while not (listed := self._list_by_address()) and time.monotonic() < until:
             time.sleep(0.2)
         if not listed:
             raise WorkersError(
@@ -285,7 +292,7 @@ class ClusterPool:
                 {"n": threads},
             )
 
-    def _listed(self) -> dict[str, Any]:
+    def _list_by_address(self) -> dict[str, Any]:
         """The workers that the scheduler knows. Raises _SchedulerLostError."""
         try:
             identity = self._client.sync(self._client.scheduler.identity, callback_timeout=ANSWER_S)
@@ -294,10 +301,10 @@ class ClusterPool:
         by_address: dict[str, Any] = identity["workers"]
         return by_address
 
-    def _ask_all(self) -> None:
+    def _check_workers(self) -> None:
         """Raises WorkersError, naming the first, when workers are not fit for the work."""
         try:
-            replies = self._client.run(unfit, self._needs, on_error="return")
+            replies = self._client.run(find_misfit, self._needs, on_error="return")
         except (OSError, RuntimeError) as error:
             raise _SchedulerLostError from error
         # a worker that died since it was listed is no reason to stop

@@ -13,8 +13,8 @@ from typing import Any, Protocol, runtime_checkable
 
 from catalog.cache import Cache
 from catalog.errors import WorkersError
-from catalog.jobs.workers import call_in_worker
-from catalog.jobs.workspace import code_key, surroundings
+from catalog.jobs.workers import run_in_worker
+from catalog.jobs.workspace import hash_package, list_versions
 
 # Of a file that is compared: enough to tell another terrain model or another overview of the same
 # size, without reading all of it on every worker. Dates are not compared: copies have others.
@@ -24,12 +24,12 @@ SAMPLE_BYTES = 4096
 Needs = dict[str, Any]  # builtin types alone, for the eyes of other versions
 
 
-def needs_of(files: Iterable[Path]) -> Needs:
+def collect_needs(files: Iterable[Path]) -> Needs:
     """List what a worker must have: this code, these libraries, and files with the same content."""
     return {
-        "code": code_key(),
-        "surroundings": surroundings(),
-        "files": {str(path): _file_state(path) for path in files},
+        "code": hash_package(),
+        "surroundings": list_versions(),
+        "files": {str(path): _sample_file(path) for path in files},
     }
 
 
@@ -44,33 +44,33 @@ class HasFiles(Protocol):
         """These files."""
 
 
-def files_of(context: Any) -> list[Path]:
+def list_files(context: Any) -> list[Path]:
     """The files that the chunks of a context are worked from."""
     return context.files() if isinstance(context, HasFiles) else []
 
 
-def code_of(context: Any) -> dict[str, str]:
+def hash_packages(context: Any) -> dict[str, str]:
     """Packages besides this one whose code the chunks of a context need, with its hash."""
-    return {name: code_key(name) for name in getattr(context, "packages", ())}
+    return {name: hash_package(name) for name in getattr(context, "packages", ())}
 
 
-def unfit(needs: Needs) -> str | None:
+def find_misfit(needs: Needs) -> str | None:
     """Why this process cannot do the work of one with these needs; None when it can."""
-    for (name, present), (_, wanted) in zip(surroundings(), needs["surroundings"], strict=True):
+    for (name, present), (_, wanted) in zip(list_versions(), needs["surroundings"], strict=True):
         if present != wanted:
             return (
                 f"has {name} {present}, the build {wanted}: results could differ; "
                 "install the same versions (requirements.lock) on all machines"
             )
     code = {"catalog": needs["code"], **needs.get("packages", {})}
-    if any(key != code_key(name) for name, key in code.items()):
+    if any(key != hash_package(name) for name, key in code.items()):
         return (
             "runs other code of optnav than the build; "
             "install the same version there and start the worker again"
         )
     for name, wanted in needs["files"].items():
         try:
-            here = _file_state(Path(name))
+            here = _sample_file(Path(name))
         except OSError as error:
             return (
                 f"{name}: cannot be read there ({error.strerror or error}); terrain models and the "
@@ -85,7 +85,7 @@ def unfit(needs: Needs) -> str | None:
     return None
 
 
-def _file_state(path: Path) -> tuple[int, str]:
+def _sample_file(path: Path) -> tuple[int, str]:
     """Size and a hash of samples spread over a file."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
@@ -101,7 +101,7 @@ _turn = threading.Lock()
 _met: Cache[bytes, None] = Cache(1)  # the last needs that were met, by their hash
 
 
-def call_on_node(packed: bytes, function: Callable[[Any, Any], Any], chunk: Any) -> Any:
+def run_on_node(packed: bytes, function: Callable[[Any, Any], Any], chunk: Any) -> Any:
     """Run a chunk on a worker that is fit for it; one at a time in a process.
 
     A context's open files and caches are not safe across threads, and its memory is bounded for
@@ -117,12 +117,12 @@ def call_on_node(packed: bytes, function: Callable[[Any, Any], Any], chunk: Any)
         # cores are the workers' to share out
         cv2.setNumThreads(1)
         numba.set_num_threads(1)  # of this thread
-        return call_in_worker(blob, function, chunk)
+        return run_in_worker(blob, function, chunk)
 
 
 def _require(needs: Needs) -> None:
     """Raise WorkersError unless this worker meets the needs."""
-    reason = unfit(needs)
+    reason = find_misfit(needs)
     if reason is not None:
         from distributed import get_worker
 

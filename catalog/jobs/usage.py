@@ -73,15 +73,15 @@ class StageAccount(msgspec.Struct):
         if usage.process == _process():
             return
         self.workers_cpu_s += usage.cpu_s
-        self.worker_peak = _greater(self.worker_peak, usage.peak)
+        self.worker_peak = _select_greater(self.worker_peak, usage.peak)
         self._add_all(usage)
 
     @contextmanager
-    def measured(self) -> Iterator[None]:
+    def measure_block(self) -> Iterator[None]:
         """Count what this process uses meanwhile, and the time."""
-        before, started = _state(), time.monotonic()
+        before, started = _read_state(), time.monotonic()
         yield
-        usage = _between(before, _state())
+        usage = _subtract_states(before, _read_state())
         self.seconds += time.monotonic() - started
         self.peak = usage.peak
         self._add_all(usage)
@@ -123,9 +123,9 @@ class Account(msgspec.Struct):
         for stage in self.stages:
             summed.seconds += stage.seconds
             summed.workers_cpu_s += stage.workers_cpu_s
-            summed.peak = _greater(summed.peak, stage.peak)
+            summed.peak = _select_greater(summed.peak, stage.peak)
             if stage.worker_peak is not None:
-                summed.worker_peak = _greater(summed.worker_peak, stage.worker_peak)
+                summed.worker_peak = _select_greater(summed.worker_peak, stage.worker_peak)
             summed._add_all(stage)
         return summed
 
@@ -134,7 +134,7 @@ def _sum(a: int | None, b: int | None, sign: int = 1) -> int | None:
     return None if a is None or b is None else a + sign * b
 
 
-def _greater(a: Peak | None, b: Peak) -> Peak:
+def _select_greater(a: Peak | None, b: Peak) -> Peak:
     # of equal marks the one that is known to be the work's own
     return b if a is None or (b.bytes, b.is_own) > (a.bytes, a.is_own) else a
 
@@ -148,11 +148,11 @@ class _State(NamedTuple):
     written_bytes: int | None
 
 
-def _state() -> _State:
-    return _State(time.process_time(), _memory_mark(), *_bytes_moved())
+def _read_state() -> _State:
+    return _State(time.process_time(), _read_memory_mark(), *_read_byte_counts())
 
 
-def _memory_mark() -> int:
+def _read_memory_mark() -> int:
     """Greatest memory in this process's life, bytes."""
     try:
         status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
@@ -162,7 +162,7 @@ def _memory_mark() -> int:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MAXRSS_UNIT
 
 
-def _bytes_moved() -> tuple[int | None, int | None]:
+def _read_byte_counts() -> tuple[int | None, int | None]:
     """Bytes that this process read and wrote, as Linux counts them."""
     try:
         lines = Path("/proc/self/io").read_text(encoding="ascii").splitlines()
@@ -172,7 +172,7 @@ def _bytes_moved() -> tuple[int | None, int | None]:
         return None, None
 
 
-def _between(before: _State, after: _State) -> Usage:
+def _subtract_states(before: _State, after: _State) -> Usage:
     return Usage(
         process=_process(),
         cpu_s=after.cpu_s - before.cpu_s,
@@ -198,27 +198,27 @@ class _Meter:
         self._under_way = 0
         self._reported = _State(0.0, 0, None, None)
 
-    def begin(self) -> None:
+    def start(self) -> None:
         with self._lock:
             if self._under_way == 0:
-                self._reported = _state()
+                self._reported = _read_state()
             self._under_way += 1
 
-    def end(self) -> Usage:
+    def stop(self) -> Usage:
         with self._lock:
             self._under_way -= 1
-            before, self._reported = self._reported, _state()
-            return _between(before, self._reported)
+            before, self._reported = self._reported, _read_state()
+            return _subtract_states(before, self._reported)
 
 
 _meter = _Meter()
 
 
-def metered(work: Callable[[], R]) -> tuple[R, Usage]:
+def measure_usage(work: Callable[[], R]) -> tuple[R, Usage]:
     """Do work and tell what it used; a process counts as a whole."""
-    _meter.begin()
+    _meter.start()
     try:
         result = work()
     finally:
-        usage = _meter.end()
+        usage = _meter.stop()
     return result, usage

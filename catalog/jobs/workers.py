@@ -40,7 +40,7 @@ THREAD_LIMITS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS",
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
+def mask_signals() -> Iterator[None]:
     """Hold SIGINT and SIGTERM back until the block is left; for short blocks.
 
     Python raises KeyboardInterrupt between any two steps, also just after a library took a lock and
@@ -53,12 +53,12 @@ def uninterrupted() -> Iterator[None]:
         return
     with ExitStack() as stack:
         for number in HELD:
-            stack.enter_context(_held(number))
+            stack.enter_context(_mask_signal(number))
         yield
 
 
 @contextmanager
-def _held(number: signal.Signals) -> Iterator[None]:
+def _mask_signal(number: signal.Signals) -> Iterator[None]:
     handler = signal.getsignal(number)
     if not callable(handler):
         yield
@@ -129,10 +129,10 @@ class Pool(Protocol):
     def look(self) -> None:
         """See whether results can still come. Raises OptnavError, or one of `lost`, if not."""
 
-    def survive(self, loss: Exception, losses: int) -> None:
+    def handle_loss(self, loss: Exception, losses: int) -> None:
         """Go on after a loss, so many without a result between; raises OptnavError if not."""
 
-    def abandon(self) -> None:
+    def stop_now(self) -> None:
         """End the executor at once: an interrupt or an error wants no chunk any more."""
 
     def close(self) -> None:
@@ -162,7 +162,7 @@ class ExecutorWorkers:
         losses = 0
         while todo:
             try:
-                for position, result in self._once(function, packed, chunks, todo, lost):
+                for position, result in self._run_once(function, packed, chunks, todo, lost):
                     losses = 0
                     todo.remove(position)
                     yield position, result
@@ -170,9 +170,9 @@ class ExecutorWorkers:
                 losses += 1
                 # none is given up while a piece that was lost less often may yet go through
                 least = min((lost[piece] for piece in todo if piece in lost), default=losses)
-                self._pool.survive(loss, min(losses, least))
+                self._pool.handle_loss(loss, min(losses, least))
 
-    def _once(
+    def _run_once(
         self,
         function: Callable[[Any, T], R],
         packed: bytes,
@@ -195,33 +195,33 @@ class ExecutorWorkers:
                     if under_way and waiting[0] in lost:
                         break
                     position = waiting.popleft()
-                    with uninterrupted():
+                    with mask_signals():
                         future = executor.submit(pool.call, packed, function, chunks[position])
                         under_way[future] = position
                         future.add_done_callback(ended.put)
                 if not under_way:
                     break
-                done = _taken(ended, pool.patience_s)
+                done = _collect_ended(ended, pool.patience_s)
                 pool.look()
-                for future in filter(_failed, done):  # next time last: it may be what kills
+                for future in filter(_has_failed, done):  # next time last: it may be what kills
                     position = under_way[future]
                     todo.append(todo.pop(todo.index(position)))
                     lost[position] += 1
                 todo.sort(key=lost.__getitem__)
                 # sorted: a death must not hide results that came with it
-                for future in sorted(done, key=_failed):
+                for future in sorted(done, key=_has_failed):
                     yield under_way.pop(future), future.result()
             finished = True
         finally:
             if not finished:
-                with uninterrupted():
-                    pool.abandon()
+                with mask_signals():
+                    pool.stop_now()
 
     def close(self) -> None:
         self._pool.close()
 
 
-def _taken(ended: "SimpleQueue[Future[R]]", patience_s: float) -> "list[Future[R]]":
+def _collect_ended(ended: "SimpleQueue[Future[R]]", patience_s: float) -> "list[Future[R]]":
     """Wait for a first future to end and return all that have; none after `patience_s` seconds."""
     taken: list[Future[R]] = []
     try:
@@ -232,7 +232,7 @@ def _taken(ended: "SimpleQueue[Future[R]]", patience_s: float) -> "list[Future[R
         return taken
 
 
-def _failed(future: "Future[Any]") -> bool:
+def _has_failed(future: "Future[Any]") -> bool:
     return future.cancelled() or future.exception() is not None
 
 
@@ -244,7 +244,7 @@ class LocalPool:
 
     def __init__(self, count: int) -> None:
         self.count = count
-        self.call: Callable[..., Any] = call_in_worker
+        self.call: Callable[..., Any] = run_in_worker
         self._executor: Executor | None = None
         self._others: set[int | None] = set()  # child processes that are not this one's workers
 
@@ -264,14 +264,14 @@ class LocalPool:
     def look(self) -> None:
         """Do nothing: futures tell of a dead process."""
 
-    def survive(self, loss: Exception, losses: int) -> None:
+    def handle_loss(self, loss: Exception, losses: int) -> None:
         if losses > DEATHS_WITHOUT_PROGRESS:
             raise WorkersError(
                 f"worker processes died {losses} times without finishing a piece of work "
                 "(out of memory?); what is done is kept: try again with fewer --workers"
             ) from None
 
-    def abandon(self) -> None:
+    def stop_now(self) -> None:
         if self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
             self._executor = None
@@ -296,13 +296,13 @@ class LocalPool:
         return [c for c in multiprocessing.active_children() if c.pid not in self._others]
 
 
-def workers_of(count: int | None) -> Workers:
+def make_workers(count: int | None) -> Workers:
     """One process for 1; so many worker processes otherwise; None means one for each core."""
-    wanted = count if count is not None else available_cores()
+    wanted = count if count is not None else count_cores()
     return SerialWorkers() if wanted <= 1 else ExecutorWorkers(LocalPool(wanted))
 
 
-def available_cores() -> int:
+def count_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -333,7 +333,7 @@ def start_worker() -> None:
 _contexts: Cache[bytes, Any] = Cache(1)
 
 
-def call_in_worker(blob: bytes, function: Callable[[Any, T], R], chunk: T) -> R:
+def run_in_worker(blob: bytes, function: Callable[[Any, T], R], chunk: T) -> R:
     """Run a chunk with a pickled context, which is kept, with its open files, for the next."""
     context = _contexts.get(hashlib.sha256(blob).digest(), lambda: pickle.loads(blob))
     return function(context, chunk)

@@ -28,10 +28,10 @@ from scipy.spatial.transform import Rotation
 
 import catalog
 from catalog.errors import DataError, OutputError
-from catalog.files import PARTIAL, PIECE, hash_file, put_file, stored_json
-from catalog.jobs.usage import StageAccount, Usage, metered
+from catalog.files import PARTIAL, PIECE, decode_stored_json, hash_file, write_work_file
+from catalog.jobs.usage import StageAccount, Usage, measure_usage
 from catalog.jobs.workers import Workers
-from catalog.places import locked
+from catalog.places import lock_file
 from catalog.progress import Progress, Stage
 
 T = TypeVar("T")
@@ -85,12 +85,12 @@ class Workspace:
             folder.mkdir(parents=True, exist_ok=True)
             self._settle_format()
         except OSError as error:
-            raise _unwritable(folder, error) from None
+            raise _make_write_error(folder, error) from None
 
     def _settle_format(self) -> None:
         mark = self.folder / MARK
         if mark.is_file():
-            stored = stored_json(mark.read_bytes(), _Mark) or _Mark("", 0)
+            stored = decode_stored_json(mark.read_bytes(), _Mark) or _Mark("", 0)
             if stored.format == FORMAT:
                 return
             raise OutputError(
@@ -100,12 +100,12 @@ class Workspace:
         self.put(MARK, msgspec.json.encode(_Mark("optnav", FORMAT)))
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
+    def lock(self) -> Iterator[None]:
         """Hold the folder for this process. Raises OutputError when another one works in it."""
         path = self.folder / LOCK
         with ExitStack() as held:
             try:
-                handle = held.enter_context(locked(path))
+                handle = held.enter_context(lock_file(path))
             except BlockingIOError:
                 owner = path.read_text(encoding="ascii", errors="replace").strip() or "unknown"
                 raise OutputError(
@@ -113,7 +113,7 @@ class Workspace:
                     "wait for it or name another work folder"
                 ) from None
             except OSError as error:
-                raise _unwritable(self.folder, error) from None
+                raise _make_write_error(self.folder, error) from None
             os.ftruncate(handle, 0)
             os.pwrite(handle, f"{os.getpid()}\n".encode("ascii"), 0)
             for remains in self.folder.rglob(f"*{PARTIAL}"):  # of killed processes
@@ -134,9 +134,9 @@ class Workspace:
     def put(self, name: str, data: bytes) -> None:
         """Write a file so that it is there whole or not at all, also after a loss of power."""
         try:
-            put_file(self.folder / name, data)
+            write_work_file(self.folder / name, data)
         except OSError as error:
-            raise _unwritable(self.folder, error) from None
+            raise _make_write_error(self.folder, error) from None
 
     def get(self, name: str) -> bytes | None:
         """The bytes of a file, None where there is none."""
@@ -145,15 +145,15 @@ class Workspace:
         except FileNotFoundError:
             return None
 
-    def whole(self, name: str) -> bool:
+    def is_intact(self, name: str) -> bool:
         """Whether a result file is there, undamaged; a damaged one is removed."""
         data = self.get(name)
-        if data is None or are_whole(data):
+        if data is None or is_intact(data):
             return data is not None
         (self.folder / name).unlink(missing_ok=True)
         return False
 
-    def records(self, name: str, type_: type[Any]) -> list[Any] | None:
+    def read_records(self, name: str, type_: type[Any]) -> list[Any] | None:
         """The records of a result file; None, and the file gone, where it is missing or damaged."""
         data = self.get(name)
         try:
@@ -169,14 +169,14 @@ class Workspace:
                 shutil.rmtree(path, ignore_errors=True)
 
 
-def stage_key(*parts: Any) -> str:
+def compute_stage_key(*parts: Any) -> str:
     """Key of all that a stage's results depend on; parts are anything that msgspec can encode."""
     plain = msgspec.json.encode(msgspec.to_builtins(parts), order="deterministic")
     return hashlib.sha256(plain).hexdigest()[:KEY_CHARACTERS]
 
 
 @cache
-def code_key(name: str = "catalog") -> str:
+def hash_package(name: str = "catalog") -> str:
     """Hash of a package's code: results of other code are not taken for ours.
 
     Read once: a process goes on with the code that it has loaded, whatever is installed meanwhile.
@@ -190,7 +190,7 @@ def code_key(name: str = "catalog") -> str:
 
 
 @cache
-def surroundings() -> tuple[tuple[str, str], ...]:
+def list_versions() -> tuple[tuple[str, str], ...]:
     """Name and version of what the same bytes need beside the code."""
     python = ".".join(platform.python_version_tuple()[:2])
     versions = [("python", python), ("processor", platform.machine())]
@@ -202,12 +202,12 @@ def surroundings() -> tuple[tuple[str, str], ...]:
     return tuple(versions)
 
 
-def content_hash(files: Iterable[Path], workspace: Workspace, progress: Progress) -> str:
+def hash_contents(files: Iterable[Path], workspace: Workspace, progress: Progress) -> str:
     """SHA-256 over files, one after the other; one of the same size and date is not read again.
 
     Raises DataError for a file that cannot be read.
     """
-    known = stored_json(workspace.get(HASHES) or b"", dict[str, Sha256]) or {}
+    known = decode_stored_json(workspace.get(HASHES) or b"", dict[str, Sha256]) or {}
     digest = hashlib.sha256()
     for path in files:
         try:
@@ -232,7 +232,7 @@ def encode_records(records: Sequence[Any]) -> bytes:
     return MAGIC + hashlib.sha256(payload).digest()[:HASH_BYTES] + payload
 
 
-def are_whole(data: bytes) -> bool:
+def is_intact(data: bytes) -> bool:
     """Whether bytes of `encode_records` are as they were made."""
     head = len(MAGIC) + HASH_BYTES
     return data[:head] == MAGIC + hashlib.sha256(memoryview(data)[head:]).digest()[:HASH_BYTES]
@@ -240,7 +240,7 @@ def are_whole(data: bytes) -> bool:
 
 def decode_records(data: bytes, type_: type[T]) -> list[T]:
     """The records of a type. Raises DamagedRecordsError."""
-    if not are_whole(data):
+    if not is_intact(data):
         raise DamagedRecordsError("checksum differs")
     payload = memoryview(data)[len(MAGIC) + HASH_BYTES :]
     plain = zstandard.ZstdDecompressor().decompress(payload)
@@ -252,22 +252,22 @@ def decode_records(data: bytes, type_: type[T]) -> list[T]:
 
 def pack(value: Any) -> bytes:
     """A struct or dataclass, with arrays and rotations in it, as bytes."""
-    return msgspec.msgpack.encode(value, enc_hook=_plain)
+    return msgspec.msgpack.encode(value, enc_hook=_encode_value)
 
 
 def unpack(data: bytes, type_: type[T]) -> T:
     """Decode the bytes of `pack`; rotations are normalised again. Raises MsgspecError."""
-    return msgspec.msgpack.decode(data, type=type_, dec_hook=_rich)
+    return msgspec.msgpack.decode(data, type=type_, dec_hook=_decode_value)
 
 
-def _unwritable(folder: Path, error: OSError) -> OutputError:
+def _make_write_error(folder: Path, error: OSError) -> OutputError:
     return OutputError(
         f"{folder}: cannot be written ({error.strerror or error}); "
         "free space, change its permissions or name another work folder"
     )
 
 
-def _plain(value: Any) -> Any:
+def _encode_value(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return [value.dtype.str, list(value.shape), np.ascontiguousarray(value).tobytes()]
     if isinstance(value, np.generic):
@@ -277,7 +277,7 @@ def _plain(value: Any) -> Any:
     raise NotImplementedError(f"records cannot hold a {type(value).__name__}")
 
 
-def _rich(type_: type, value: Any) -> Any:
+def _decode_value(type_: type, value: Any) -> Any:
     if type_ is np.ndarray or get_origin(type_) is np.ndarray:
         dtype, shape, data = value
         return np.frombuffer(data, dtype=np.dtype(dtype)).reshape(shape)
@@ -303,13 +303,13 @@ class ChunkResults:
         """The result file of a chunk."""
         return f"{self.stage}-{self.key}/chunk-{position:05d}.bin"
 
-    def records(self, position: int) -> list[Any] | None:
+    def read(self, position: int) -> list[Any] | None:
         """The records of a chunk; None where they are missing or damaged."""
-        return self.workspace.records(self.name(position), self.type_)
+        return self.workspace.read_records(self.name(position), self.type_)
 
-    def all_records(self, count: int) -> list[Any] | None:
+    def read_all(self, count: int) -> list[Any] | None:
         """The records of all chunks, one after the other; None where a chunk has none."""
-        parts = [self.records(position) for position in range(count)]
+        parts = [self.read(position) for position in range(count)]
         return None if None in parts else [record for part in parts if part for record in part]
 
     def make(
@@ -328,7 +328,7 @@ class ChunkResults:
         come the results of earlier runs, then the others in any order.
         beside  of another stage, whose records the function makes on its way: it returns both
         """
-        missing = [p for p in range(len(chunks)) if not self.workspace.whole(self.name(p))]
+        missing = [p for p in range(len(chunks)) if not self.workspace.is_intact(self.name(p))]
         kept = sorted(set(range(len(chunks))).difference(missing))
         account.kept = len(kept)
         shown.keep(sum(len(chunks[position]) for position in kept))
@@ -336,16 +336,16 @@ class ChunkResults:
         kinds = (self,) if beside is None else (self, beside)
         work = [([kind.name(p) for kind in kinds], chunks[p]) for p in missing]
         coordinator = socket.gethostname(), os.getpid()
-        make_one = partial(_made, function, self.workspace, coordinator)
+        make_one = partial(_make_results, function, self.workspace, coordinator)
         for at, (data, usage) in workers.run(make_one, context, work):
-            _put(self.workspace, work[at][0], data)
+            _write_results(self.workspace, work[at][0], data)
             account.done += 1
             account.add(usage)
             shown.advance(len(work[at][1]))
             yield missing[at]
 
 
-def _put(workspace: Workspace, names: Sequence[str], data: Sequence[bytes]) -> None:
+def _write_results(workspace: Workspace, names: Sequence[str], data: Sequence[bytes]) -> None:
     """Write the files of a chunk, its own result first.
 
     Killed between them, only what it made on its way is missing, and the stage that wants that
@@ -355,7 +355,7 @@ def _put(workspace: Workspace, names: Sequence[str], data: Sequence[bytes]) -> N
         workspace.put(name, content)
 
 
-def _made(
+def _make_results(
     function: Callable[[Any, Any], Sequence[Any]],
     workspace: Workspace,
     coordinator: tuple[str, int],
@@ -378,7 +378,7 @@ def _made(
         data = [encode_records(kind) for kind in (records if len(names) > 1 else [records])]
         if not here:
             return data
-        _put(workspace, names, data)
+        _write_results(workspace, names, data)
         return []
 
-    return metered(make)
+    return measure_usage(make)

@@ -15,22 +15,22 @@ from catalog.control_point import ControlPoint
 from catalog.errors import ConfigError, NothingToDoError, UsageError
 from catalog.files import check_file
 from catalog.jobs import MAX_WORKERS, usage
-from catalog.jobs.cluster import check_address, cluster_workers
+from catalog.jobs.cluster import check_address, start_cluster_workers
 from catalog.jobs.usage import Account, StageAccount
-from catalog.jobs.workers import available_cores, workers_of
-from catalog.jobs.workspace import MARK, ChunkResults, Workspace, encode_records, stage_key
+from catalog.jobs.workers import count_cores, make_workers
+from catalog.jobs.workspace import MARK, ChunkResults, Workspace, compute_stage_key, encode_records
 from catalog.pipeline import check, render, select, write
 from catalog.pipeline.comparison import report_fit
 from catalog.pipeline.config import BuildConfig, ConfigText
 from catalog.pipeline.context import DemRecord, IngestRun
 from catalog.pipeline.ingest import Bbox, MeshRecord
 from catalog.pipeline.inputs import BuildInputs, prepare_inputs
-from catalog.pipeline.relief import stored_relief
+from catalog.pipeline.relief import read_stored_relief
 from catalog.pipeline.render import RenderedCell
 from catalog.pipeline.select import SelectedCell
-from catalog.pipeline.write import CatalogExtras, find_published, remember_published
-from catalog.places import claimed
-from catalog.progress import Progress, SilentProgress, logged_stage
+from catalog.pipeline.write import CatalogExtras, find_published, record_published
+from catalog.places import lock_output
+from catalog.progress import Progress, SilentProgress, log_stage
 from catalog.store.connection import SIDECARS, is_catalog_file
 from catalog.store.patches import PreparedPoint
 from catalog.terrain.dem.file import resolve_path
@@ -100,9 +100,9 @@ def run(
         raise ConfigError(f"{source.path}: [body] name: {error}") from None
     with ExitStack() as held:
         if output is not None:
-            held.enter_context(claimed(output))
+            held.enter_context(lock_output(output))
         workspace = Workspace(work)
-        held.enter_context(workspace.locked())
+        held.enter_context(workspace.lock())
         build = _Build(
             workspace, config, source, body, workers, scheduler, progress or SilentProgress()
         )
@@ -128,47 +128,47 @@ class _Build:
         self.workspace, self.config, self.config_path = workspace, config, source.path
         self.config_text = source.text
         self.body, self.progress = body, progress
-        self.count = workers or available_cores()
+        self.count = workers or count_cores()
         if scheduler is None:
-            self.workers = workers_of(self.count)
+            self.workers = make_workers(self.count)
         else:  # self.count threads read terrain models, here
             names = [dem.path for dem in config.dem] + [mesh.path for mesh in config.mesh]
             named = [resolve_path(name, source.path.parent) for name in names]
-            self.workers = cluster_workers(scheduler, [workspace.path(MARK), *named])
+            self.workers = start_cluster_workers(scheduler, [workspace.path(MARK), *named])
         self.account = Account(f"optnav {catalog.__version__}", self.workers.count)
 
     def run(self, wanted: Sequence[str], bbox: Bbox | None, output: Path | None) -> BuildReport:
         """All wanted stages in order; a stage whose forerunner is not done is refused."""
         report = BuildReport(self.workspace.folder, self.account)
-        with self._stage("ingest") as stage:  # every run begins with it
+        with self._measure_stage("ingest") as stage:  # every run begins with it
             ground = self.config, self.config_path, self.body
             run = IngestRun(self.workspace, *ground, self.count, self.progress, stage)
             inputs = prepare_inputs(run, bbox)
             report.dems, self.account.cells = inputs.dems, inputs.cells
-        rendered = self._results(inputs, "render", RenderedCell)
-        checked = self._results(inputs, "check", ControlPoint)
-        prepared = self._results(inputs, "write", PreparedPoint)
+        rendered = self._find_results(inputs, "render", RenderedCell)
+        checked = self._find_results(inputs, "check", ControlPoint)
+        prepared = self._find_results(inputs, "write", PreparedPoint)
         points: list[ControlPoint] | None = None
         if "render" in wanted:
-            with self._stage("render") as stage:
+            with self._measure_stage("render") as stage:
                 self._run_chunks(rendered, render.render_chunk, inputs, inputs.chunks, stage)
         if "select" in wanted:
-            with self._stage("select") as stage:
+            with self._measure_stage("select") as stage:
                 self._select(inputs, rendered, stage)
         if "check" in wanted:
-            with self._stage("check") as stage:
-                chosen = self._chosen(inputs)
+            with self._measure_stage("check") as stage:
+                chosen = self._read_chosen(inputs)
                 if "write" in wanted:  # from the patches that are cut for checking
                     function = check.check_and_prepare_chunk
                     self._run_chunks(checked, function, inputs, chosen, stage, prepared)
                 else:
                     self._run_chunks(checked, check.check_chunk, inputs, chosen, stage)
-                points = self._points(inputs, checked)
+                points = self._read_points(inputs, checked)
         if "write" in wanted and output is not None:
-            with self._stage("write") as stage:
+            with self._measure_stage("write") as stage:
                 if points is None:
-                    self._chosen(inputs)  # refuses, before the checks are missed
-                    points = self._points(inputs, checked)
+                    self._read_chosen(inputs)  # refuses, before the checks are missed
+                    points = self._read_points(inputs, checked)
                 self._write(inputs, points, prepared, output, report, stage)
             if report.usable == 0:
                 judged = self.account
@@ -181,16 +181,16 @@ class _Build:
         return report
 
     @contextmanager
-    def _stage(self, name: str) -> Iterator[StageAccount]:
+    def _measure_stage(self, name: str) -> Iterator[StageAccount]:
         """Measure a stage; its account is on the disk before the next one begins."""
         stage = StageAccount(name)
-        with stage.measured(), logged_stage(name):
+        with stage.measure_block(), log_stage(name):
             yield stage
         self.account.stages.append(stage)
         data = msgspec.json.format(msgspec.json.encode(self.account), indent=2)
         self.workspace.put(usage.FILE, data)
 
-    def _results(self, inputs: BuildInputs, stage: str, type_: type[Any]) -> ChunkResults:
+    def _find_results(self, inputs: BuildInputs, stage: str, type_: type[Any]) -> ChunkResults:
         return ChunkResults(self.workspace, stage, inputs.keys[stage], type_)
 
     def _run_chunks(
@@ -214,12 +214,12 @@ class _Build:
 
     def _select(self, inputs: BuildInputs, rendered: ChunkResults, stage: StageAccount) -> None:
         key = inputs.keys["select"]
-        if self.workspace.records(_select_name(key), SelectedCell) is not None:
+        if self.workspace.read_records(_select_name(key), SelectedCell) is not None:
             stage.kept = 1
             return
-        records = rendered.all_records(len(inputs.chunks))
+        records = rendered.read_all(len(inputs.chunks))
         if records is None:
-            raise self._missing("render")
+            raise self._make_missing_error("render")
         with self.progress.stage("select", total=len(records), unit="cell") as shown:
             chosen = select.select(inputs.context, records)
             self.workspace.put(_select_name(key), encode_records(chosen))
@@ -227,20 +227,20 @@ class _Build:
         stage.done = 1
         self.workspace.keep_only("select", {key})
 
-    def _chosen(self, inputs: BuildInputs) -> list[list[SelectedCell]]:
+    def _read_chosen(self, inputs: BuildInputs) -> list[list[SelectedCell]]:
         """Selected records cut as their cells were cut for rendering; some pieces have none."""
         name = _select_name(inputs.keys["select"])
-        records = self.workspace.records(name, SelectedCell)
+        records = self.workspace.read_records(name, SelectedCell)
         if records is None:
-            raise self._missing("select")
+            raise self._make_missing_error("select")
         by_cell = {record.cell: record for record in records}
         return [[by_cell[cell] for cell in chunk if cell in by_cell] for chunk in inputs.chunks]
 
-    def _points(self, inputs: BuildInputs, checked: ChunkResults) -> list[ControlPoint]:
+    def _read_points(self, inputs: BuildInputs, checked: ChunkResults) -> list[ControlPoint]:
         """The points of all checked pieces, judged in the account."""
-        records = checked.all_records(len(inputs.chunks))
+        records = checked.read_all(len(inputs.chunks))
         if records is None:
-            raise self._missing("check")
+            raise self._make_missing_error("check")
         # a cell at a model's edge may have ground, yet none where its place is: no point there
         points = [point for point in records if math.isfinite(point.radius_m)]
         report_fit(inputs.context, points)
@@ -263,7 +263,7 @@ class _Build:
                 "lower [pyramid] size or posting_m, or give more ground"
             )
         relief = inputs.relief
-        key = stage_key(
+        key = compute_stage_key(
             inputs.keys["write"],
             *(inputs.sources(), self.config_text, relief and relief.key, inputs.errors),
         )
@@ -272,10 +272,10 @@ class _Build:
             stage.kept = len(inputs.chunks)
         else:
             self.workspace.keep_only("write", {prepared.key})  # first, for they are as large as it
-            shape = stored_relief(self.workspace, relief) if relief is not None else None
+            shape = read_stored_relief(self.workspace, relief) if relief is not None else None
             written = write.write(
                 inputs.context,
-                write.point_chunks(inputs.chunks, points),
+                write.group_points(inputs.chunks, points),
                 output,
                 extras=CatalogExtras(
                     inputs.sources(), self.config_text, shape, inputs.errors, inputs.comparison
@@ -285,12 +285,12 @@ class _Build:
                 progress=self.progress,
                 account=stage,
             )
-            remember_published(self.workspace, key, written.path)
+            record_published(self.workspace, key, written.path)
         self.workspace.keep_only("write", set())  # the catalog has it all now
         report.output, report.points = written.path, written.count
         report.usable, report.digest = written.usable, written.digest
 
-    def _missing(self, stage: str) -> UsageError:
+    def _make_missing_error(self, stage: str) -> UsageError:
         return UsageError(
             f"{self.workspace.folder}: holds no complete result of `{stage}` for this config; "
             f"first run: optnav {stage} {self.config_path} --work {self.workspace.folder}"

@@ -15,8 +15,8 @@ from catalog.geometry.projection import MapProjection
 from catalog.pipeline.config import RenderSettings
 from catalog.pipeline.context import StageContext
 from catalog.rendering.sun_samples import sun_samples
-from catalog.selection.localisation import hessian_eigenvalue_map, sun_products
-from catalog.selection.spacing import strongest_peaks
+from catalog.selection.localisation import compute_hessian_eigenvalue_map, compute_sun_products
+from catalog.selection.spacing import find_peaks
 
 STEPS_PER_WINDOW = 16  # the response hardly changes over a sixteenth of its window
 BLUR_NODES = 1.0  # optics of 0.7 px, the pixel itself and resampling
@@ -51,56 +51,60 @@ class CellGround(NamedTuple):
     complete: bool
 
 
-def places_step(window: int) -> int:
+def compute_place_step(window: int) -> int:
     """Nodes between places, and a side of the tiles that windows are summed from."""
     return max(1, window // STEPS_PER_WINDOW)
 
 
-def cell_ground(context: StageContext, cell: int) -> CellGround | None:
+def cut_cell_ground(context: StageContext, cell: int) -> CellGround | None:
     """The ground of a cell; None where there is none at all."""
     settings = context.config.render
     projection = context.projection(*context.grid.centre_deg(cell))
     window = settings.window_nodes
-    side = _ground_side(context, cell, window)
+    side = _compute_ground_side(context, cell, window)
     heights = context.mosaic.local_grid(projection, context.posting_m, side)
     if not np.isfinite(heights).any():
         return None
-    step = places_step(window)
+    step = compute_place_step(window)
     places = np.arange((side - window) // step + 1) * step
     offsets = (places + (window - 1) / 2.0 - (side - 1) / 2.0) * context.posting_m
     x, y = np.meshgrid(offsets, -offsets)
     nodes = places + window // 2
     middles = np.nan_to_num(heights[np.ix_(nodes, nodes)])
     lat, lon = (np.degrees(angle) for angle in projection.latlon(x, y, middles))
-    inside = _inside(context, cell, lat, lon, settings.inset_cell)
-    missing = _fine_patches_missing(context, projection, x, y)
+    inside = _mark_inside(context, cell, lat, lon, settings.inset_cell)
+    missing = _measure_fine_holes(context, projection, x, y)
     covered, complete = missing <= MAX_MISSING, not missing.any()
     return CellGround(projection, heights, window, step, lat, lon, inside, covered, complete)
 
 
-def strongest_of(context: StageContext, cell: int, ground: CellGround) -> list[tuple[int, int]]:
+def find_strongest(context: StageContext, cell: int, ground: CellGround) -> list[tuple[int, int]]:
     """Places of a cell's ground with the strongest response under its worst Sun, best first."""
     latitude = context.sun_latitude_deg(*context.grid.centre_deg(cell))
-    suns = suns_of(context.config.render, latitude)
-    response = hessian_eigenvalue_map(
-        blurred(ground.heights), context.posting_m, ground.window, sun_products(suns), ground.step
+    suns = sample_suns(context.config.render, latitude)
+    response = compute_hessian_eigenvalue_map(
+        blur_grid(ground.heights),
+        context.posting_m,
+        ground.window,
+        compute_sun_products(suns),
+        ground.step,
     )
-    radius = separation_places(context, ground)
+    radius = compute_separation(context, ground)
     free = np.where(ground.inside & ground.covered, response, np.nan)
-    peaks = strongest_peaks(free, radius, context.config.render.candidates)
+    peaks = find_peaks(free, radius, context.config.render.candidates)
     if not peaks:  # holes everywhere, or ground without any relief: kept, for the record
         known = np.where(ground.inside, response + np.float32(1e-30), np.nan)
         middle = response.shape[0] // 2
-        peaks = strongest_peaks(known, radius, 1) or [(middle, middle)]
+        peaks = find_peaks(known, radius, 1) or [(middle, middle)]
     return peaks
 
 
-def blurred(grid: Float32Array) -> Float32Array:
+def blur_grid(grid: Float32Array) -> Float32Array:
     """A grid as a camera's optics and pixels leave it: detail finer than that helps no match."""
     return cv2.GaussianBlur(grid, (0, 0), BLUR_NODES).astype(np.float32, copy=False)
 
 
-def suns_of(settings: RenderSettings, lat_deg: float) -> FloatArray:
+def sample_suns(settings: RenderSettings, lat_deg: float) -> FloatArray:
     """The Suns (n, 3), east, north, up, under which places at a latitude are rendered."""
     # near a pole an elevation leaves azimuths all around
     polar = abs(lat_deg) > POLAR_DEG
@@ -114,7 +118,9 @@ def suns_of(settings: RenderSettings, lat_deg: float) -> FloatArray:
     )
 
 
-def missing_share(context: StageContext, projection: MapProjection, posting_m: float) -> float:
+def measure_missing_share(
+    context: StageContext, projection: MapProjection, posting_m: float
+) -> float:
     """Share of a patch without ground, from a lattice over it."""
     spread = posting_m * (context.size - 1) / (COVERAGE_LATTICE - 1)
     x, y = np.meshgrid(*(2 * [spread * (np.arange(COVERAGE_LATTICE) - (COVERAGE_LATTICE - 1) / 2)]))
@@ -122,14 +128,14 @@ def missing_share(context: StageContext, projection: MapProjection, posting_m: f
     return float(1.0 - context.mosaic.covers(lat, lon, posting_m).mean())
 
 
-def separation_places(context: StageContext, ground: CellGround) -> float:
+def compute_separation(context: StageContext, ground: CellGround) -> float:
     """Least distance between the candidates of a cell, in places of its ground."""
     cell_m = np.radians(context.grid.step_deg) * context.body.radius_m
     share = context.config.render.separation_cell
     return float(share * cell_m / (ground.step * context.posting_m))
 
 
-def _ground_side(context: StageContext, cell: int, window: int) -> int:
+def _compute_ground_side(context: StageContext, cell: int, window: int) -> int:
     """Nodes of the square map grid that holds a cell and half a window around it."""
     west, south, east, north = context.grid.bounds_deg(cell)
     # a cell is widest at its border nearer to the equator; a cap is as wide as its circle
@@ -140,7 +146,7 @@ def _ground_side(context: StageContext, cell: int, window: int) -> int:
     return int(np.ceil(1.02 * metres / context.posting_m)) + window
 
 
-def _inside(
+def _mark_inside(
     context: StageContext, cell: int, lat: FloatArray, lon: FloatArray, inset: float
 ) -> BoolArray:
     """Which places (deg) lie in a cell, away from its borders."""
@@ -156,7 +162,7 @@ def _inside(
     return inside
 
 
-def _fine_patches_cover(
+def _mark_fine_ground(
     context: StageContext, projection: MapProjection, extent_m: float
 ) -> tuple[BoolArray, float, float]:
     """Where there is ground for the fine patches of places within `extent_m` of the middle.
@@ -175,16 +181,16 @@ def _fine_patches_cover(
 
 def has_whole_patches(context: StageContext, cell: int) -> bool:
     """Whether the fine patches of all places of a cell have ground everywhere."""
-    side = _ground_side(context, cell, 0)
+    side = _compute_ground_side(context, cell, 0)
     projection = context.projection(*context.grid.centre_deg(cell))
-    return bool(_fine_patches_cover(context, projection, side * context.posting_m / 2.0)[0].all())
+    return bool(_mark_fine_ground(context, projection, side * context.posting_m / 2.0)[0].all())
 
 
-def _fine_patches_missing(
+def _measure_fine_holes(
     context: StageContext, projection: MapProjection, x: FloatArray, y: FloatArray
 ) -> FloatArray:
     """Share of the patch of the coarsest of the finest levels, at places (map m), that is holes."""
-    covered, spacing, half = _fine_patches_cover(context, projection, float(np.abs(x).max()))
+    covered, spacing, half = _mark_fine_ground(context, projection, float(np.abs(x).max()))
     if covered.all():
         return np.zeros(x.shape)
     nodes = covered.shape[0]

@@ -13,14 +13,14 @@ from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
 from catalog.correlation.surf64 import MIN_SIDE
 from catalog.geometry.projection import MapProjection
 from catalog.pipeline import cell_map, select
-from catalog.pipeline.comparison import compared
+from catalog.pipeline.comparison import add_comparison
 from catalog.pipeline.context import StageContext
 from catalog.pipeline.select import SelectedCell
-from catalog.pipeline.trials import outcomes_at
-from catalog.rasters import held_settings
+from catalog.pipeline.trials import run_trials
+from catalog.rasters import keep_gdal_settings
 from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples
-from catalog.selection.localisation import uniqueness_margin
+from catalog.selection.localisation import compute_uniqueness_margin
 from catalog.selection.trial import Outcome
 from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.terrain.skyline.local import compute_skyline_limits_deg
@@ -56,7 +56,7 @@ class Certificate:
         self._fatal = FATAL | Flag.OVERHANG if context.mosaic.own_planes else FATAL
         self._projection = context.projection(place.lat_deg, place.lon_deg)
         self._seed = [record.cell, number]
-        self._known = self._examined()
+        self._known = self._derive_flags()
 
     @cached_property
     def patches(self) -> tuple[Patch, ...]:
@@ -71,7 +71,7 @@ class Certificate:
     @cached_property
     def _outcomes(self) -> Iterator[Outcome]:
         """Outcomes of the trials that are still to be run."""
-        return outcomes_at(
+        return run_trials(
             self._context,
             self.patches,
             self.place.lat_deg,
@@ -81,7 +81,7 @@ class Certificate:
             trials=self.settings.trials,
         )
 
-    def _examined(self) -> Flag:
+    def _derive_flags(self) -> Flag:
         """Derive the flags known from the patches alone; sets the shadow limits."""
         settings, candidate, context = self.settings, self.place, self._context
         flags = Flag.NONE
@@ -103,10 +103,10 @@ class Certificate:
             0,
             self._projection.radius_m,
         )
-        suns = cell_map.suns_of(
+        suns = cell_map.sample_suns(
             context.config.render, context.sun_latitude_deg(candidate.lat_deg, candidate.lon_deg)
         )
-        if shadowed_share(self.shadow_limits_deg, suns) > settings.max_shadowed:
+        if measure_shadowed_share(self.shadow_limits_deg, suns) > settings.max_shadowed:
             flags |= Flag.SHADOWED
         return flags
 
@@ -164,7 +164,7 @@ class Certificate:
             self._look_for_rivals()
 
     def _look_for_rivals(self) -> None:
-        self.uniqueness = _uniqueness(self._context, self._projection, self.patches)
+        self.uniqueness = _measure_uniqueness(self._context, self._projection, self.patches)
         if min(self.uniqueness) < self.settings.min_margin:
             self._known |= Flag.NOT_UNIQUE
 
@@ -180,8 +180,8 @@ class Certificate:
 
 def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[ControlPoint]:
     """The point of each cell with its certificate, and its place in a comparison model."""
-    with held_settings():
-        return [_point(context, check_cell(context, record)) for record in records]
+    with keep_gdal_settings():
+        return [_make_point(context, check_cell(context, record)) for record in records]
 
 
 def check_and_prepare_chunk(
@@ -190,10 +190,10 @@ def check_and_prepare_chunk(
     """Check cells as `check_chunk` does, and prepare their points for the file, sorted by id."""
     steps = context.config.write.steps_m(context.postings_m)
     points, prepared = [], []
-    with held_settings():
+    with keep_gdal_settings():
         for record in records:
             certificate = check_cell(context, record)
-            points.append(_point(context, certificate))
+            points.append(_make_point(context, certificate))
             if math.isfinite(points[-1].radius_m):
                 prepared.append(prepare_point(points[-1], certificate.patches, steps))
     return points, sorted(prepared, key=lambda one: one.point.id)
@@ -220,7 +220,7 @@ def check_cell(context: StageContext, record: SelectedCell) -> Certificate:
     return best
 
 
-def shadowed_share(limits_deg: ArrayLike, suns_local: FloatArray) -> float:
+def measure_shadowed_share(limits_deg: ArrayLike, suns_local: FloatArray) -> float:
     """Share of the Suns whose elevation is below the skyline limit of their azimuth.
 
     limits_deg  (k,)    limit by azimuth, bins centred on 0, 360/k, ... degrees east of north
@@ -234,12 +234,12 @@ def shadowed_share(limits_deg: ArrayLike, suns_local: FloatArray) -> float:
     return float((elevation < limits[bins]).mean())
 
 
-def described_side(size: int) -> int:
+def compute_described_side(size: int) -> int:
     """Side of the square that uniqueness describes in a patch of an even number of nodes a side."""
     return size - 2 * min(UNIQUENESS_ROOM, size // 4, (size - MIN_SIDE) // 2)
 
 
-def _uniqueness(
+def _measure_uniqueness(
     context: StageContext, projection: MapProjection, patches: Sequence[Patch]
 ) -> tuple[float, ...]:
     """Margins by level, worse of a morning and an afternoon Sun."""
@@ -252,18 +252,18 @@ def _uniqueness(
         lowest=UNIQUENESS_SUN,
         highest=UNIQUENESS_SUN,
     )
-    side = described_side(context.size)
+    side = compute_described_side(context.size)
     margins = []
     for patch in patches:
         coarsest = patch is patches[-1]
         reach = settings.search_km * 1e3 / patch.posting_m if coarsest else FINE_SEARCH_NODES
         ground, law = (patch.heights_m, patch.posting_m), "lommel_seeliger"
         pictures = (render_map(*ground, sun, radius_m=projection.radius_m, law=law) for sun in suns)
-        margins.append(min(uniqueness_margin(picture, side, reach) for picture in pictures))
+        margins.append(min(compute_uniqueness_margin(picture, side, reach) for picture in pictures))
     return tuple(margins)
 
 
-def _point(context: StageContext, certificate: Certificate) -> ControlPoint:
+def _make_point(context: StageContext, certificate: Certificate) -> ControlPoint:
     """With its certificate, and its place in a comparison model."""
     candidate, terrain = certificate.place, context.mosaic
     lat, lon = math.radians(candidate.lat_deg), math.radians(candidate.lon_deg)
@@ -287,4 +287,4 @@ def _point(context: StageContext, certificate: Certificate) -> ControlPoint:
     if terrain.own_planes:
         vertical = math.degrees(projection.lat), math.degrees(projection.lon)
         point = replace(point, vertical_deg=vertical)
-    return compared(context, point)
+    return add_comparison(context, point)

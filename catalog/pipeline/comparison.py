@@ -38,7 +38,7 @@ MIN_FITTING = 0.5  # share of the points on common ground; with less, the model 
 ROUNDING = 1.01  # of postings that are the same but for the projection
 
 
-def level_of(context: StageContext) -> int:
+def find_level(context: StageContext) -> int:
     """The finest level that the comparison model is fine enough for; -1 for none."""
     if context.comparison is None:
         return -1
@@ -55,7 +55,7 @@ def check_comparison(context: StageContext, where: str, cells: Sequence[int]) ->
     if model is None:
         return
     names = ", ".join(model.names)
-    if level_of(context) < 0:
+    if find_level(context) < 0:
         raise ConfigError(
             f"{where}: the comparison model {names} has {model.posting_m:.6g} m between nodes, the "
             f"coarsest level {context.postings_m[-1]:.6g} m; wanted a finer model, or more "
@@ -70,9 +70,9 @@ def check_comparison(context: StageContext, where: str, cells: Sequence[int]) ->
         )
 
 
-def compared(context: StageContext, point: ControlPoint) -> ControlPoint:
+def add_comparison(context: StageContext, point: ControlPoint) -> ControlPoint:
     """A point with its shift in the comparison model; flagged where that is over the limit."""
-    shift = shift_at(context, point.lat_deg, point.lon_deg)
+    shift = measure_shift(context, point.lat_deg, point.lon_deg)
     limit = context.config.comparison.max_shift_m
     if shift is None or limit is None or not shift.distance_m > limit:
         return replace(point, comparison=shift)
@@ -80,12 +80,12 @@ def compared(context: StageContext, point: ControlPoint) -> ControlPoint:
     return replace(point, comparison=shift, flags=flags, usable=False)
 
 
-def shift_at(context: StageContext, lat_deg: float, lon_deg: float) -> ComparisonShift | None:
+def measure_shift(context: StageContext, lat_deg: float, lon_deg: float) -> ComparisonShift | None:
     """Where the comparison model has the ground of a place; None where it has no ground at all.
 
     NaN where nothing within the search looks like it.
     """
-    model, level = context.comparison, level_of(context)
+    model, level = context.comparison, find_level(context)
     if model is None:
         return None
     posting = context.postings_m[level]
@@ -95,7 +95,7 @@ def shift_at(context: StageContext, lat_deg: float, lon_deg: float) -> Compariso
     total = ComparisonShift(0.0, 0.0, level, 0.0)
     # Sought again about the place that was found: a peak between two nodes is drawn to one of them.
     for _ in range(PASSES):
-        about = _moved(projection, total)
+        about = _move_projection(projection, total)
         other = model.local_grid(about, posting, template + 2 * SEARCH_NODES)
         if min(np.isfinite(reference).mean(), np.isfinite(other).mean()) < MIN_KNOWN_SHARE:
             return None
@@ -107,7 +107,7 @@ def shift_at(context: StageContext, lat_deg: float, lon_deg: float) -> Compariso
     return total
 
 
-def _moved(projection: MapProjection, shift: ComparisonShift) -> Stereographic:
+def _move_projection(projection: MapProjection, shift: ComparisonShift) -> Stereographic:
     """The map projection centred on a place of another one's map."""
     centre = projection.points(np.array(shift.east_m), np.array(shift.north_m), 0.0)
     lat, lon, _ = (float(value) for value in latlon_from_xyz(centre))
@@ -155,7 +155,7 @@ def report_fit(context: StageContext, points: Sequence[ControlPoint]) -> None:
     names = ", ".join(model.names)
     fitting = np.array([(s.east_m, s.north_m) for s in shifts if math.isfinite(s.east_m)])
     if len(fitting) < MIN_FITTING * max(len(shifts), 1):
-        reach_km = SEARCH_NODES * context.postings_m[level_of(context)] / 1e3
+        reach_km = SEARCH_NODES * context.postings_m[find_level(context)] / 1e3
         log.warning(
             "%s: %d of %d control points on its ground are found in it: it is shifted by more than"
             " %.3g km, or is no model of this ground; check its crs and longitude",

@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from catalog.bodies.body import is_body_file
-from catalog.config import BUNDLED, Positive, Slope, named_config, parse_toml, toml_text
+from catalog.config import BUNDLED, Positive, Slope, parse_toml, read_toml_text, resolve_config
 from catalog.errors import ConfigError
 from catalog.store.manifest import LIMITS
 from catalog.terrain.dem.source import DemSettings
@@ -69,7 +69,7 @@ class MeshSection(MeshSettings, frozen=True, forbid_unknown_fields=True):
     resolution_km: Positive | None = None
 
 
-def stated_error(section: DemSection | MeshSection) -> StatedError:
+def make_stated_error(section: DemSection | MeshSection) -> StatedError:
     """Return the error that a section states of its model."""
     return StatedError(section.product, section.error_m, section.resolution_km)
 
@@ -241,7 +241,7 @@ class BuildConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     comparison: ComparisonSettings = msgspec.field(default_factory=ComparisonSettings)
     write: WriteSettings = msgspec.field(default_factory=WriteSettings)
 
-    def dems_of(self, role: str) -> list[DemSection]:
+    def select_dems(self, role: str) -> list[DemSection]:
         """The terrain models of a role, the first used first."""
         return sorted((d for d in self.dem if d.role == role), key=lambda dem: dem.priority)
 
@@ -256,11 +256,11 @@ class ConfigText:
     @classmethod
     def read(cls, path: Path) -> "ConfigText":
         """A file, or "bundled:NAME" for one that ships with optnav. Raises ConfigError."""
-        path = named_config(path, "catalogs")
-        return cls(path, toml_text(path))
+        path = resolve_config(path, "catalogs")
+        return cls(path, read_toml_text(path))
 
     @classmethod
-    def of_rasters(cls, rasters: Sequence[Path], body: str) -> "ConfigText":
+    def make_from_rasters(cls, rasters: Sequence[Path], body: str) -> "ConfigText":
         """The config that has nothing but terrain models, the one used first before the others.
 
         Paths in it start from the folder of the first, so that it says the same wherever that is.
@@ -286,7 +286,9 @@ class ConfigText:
         """Check it. Raises ConfigError naming file, section and key."""
         config = parse_toml(self.text, BuildConfig, self.path)
         for problem in chain(
-            _ground_problems(config), _comparison_problems(config), _size_problems(config)
+            _find_ground_problems(config),
+            _find_comparison_problems(config),
+            _find_size_problems(config),
         ):
             raise ConfigError(f"{self.path}: {problem}")
         return config
@@ -297,7 +299,7 @@ def load_build_config(path: Path) -> BuildConfig:
     return ConfigText.read(path).load()
 
 
-def _ground_problems(config: BuildConfig) -> Iterator[str]:
+def _find_ground_problems(config: BuildConfig) -> Iterator[str]:
     if not config.dem and not config.mesh:
         yield "has no [[dem]] and no [[mesh]] section; name the body's ground"
     if config.mesh and (config.dem or config.relief.dem is not None):
@@ -311,24 +313,24 @@ def _ground_problems(config: BuildConfig) -> Iterator[str]:
             yield "[[dem]] scale is 0; wanted the height of one count"
     sections: list[DemSection | MeshSection] = [*config.dem, *config.mesh]
     for section in sections:
-        problem = stated_error(section).find_problem(of_mesh=bool(config.mesh))
+        problem = make_stated_error(section).find_problem(of_mesh=bool(config.mesh))
         if problem:
             yield f"{'[[mesh]]' if config.mesh else '[[dem]]'} {section.path}: {problem}"
     if config.relief.dem is not None and not config.relief.dem.path:
         yield "[relief] dem path is empty; name a terrain model of the whole body"
 
 
-def _comparison_problems(config: BuildConfig) -> Iterator[str]:
-    if config.dem and not config.dems_of("ground"):
+def _find_comparison_problems(config: BuildConfig) -> Iterator[str]:
+    if config.dem and not config.select_dems("ground"):
         yield '[[dem]] has role = "comparison" alone; name the ground that is compared, too'
-    if config.comparison.max_shift_m is not None and not config.dems_of("comparison"):
+    if config.comparison.max_shift_m is not None and not config.select_dems("comparison"):
         yield '[comparison] max_shift_m is set, but no [[dem]] has role = "comparison"; add one'
-    for dem in config.dems_of("comparison"):
-        if stated_error(dem) != StatedError():
+    for dem in config.select_dems("comparison"):
+        if make_stated_error(dem) != StatedError():
             yield f"[[dem]] {dem.path}: has an error; that of a comparison model enters nothing"
 
 
-def _size_problems(config: BuildConfig) -> Iterator[str]:
+def _find_size_problems(config: BuildConfig) -> Iterator[str]:
     step, pyramid = config.grid.cell_deg, config.pyramid
     smallest = (41_253.0 / MAX_CELLS) ** 0.5  # square degrees of a sphere shared by the cells
     if not smallest <= step <= MAX_CELL_DEG:

@@ -15,9 +15,9 @@ import numpy as np
 
 from catalog.arrays import FloatArray, IntArray
 from catalog.errors import ConfigError, DataError, UsageError
-from catalog.files import hash_file, stored_json
+from catalog.files import decode_stored_json, hash_file
 from catalog.geometry.cells import CellGrid
-from catalog.jobs.workspace import code_key, content_hash, stage_key
+from catalog.jobs.workspace import compute_stage_key, hash_contents, hash_package
 from catalog.pipeline.config import DemSection, PyramidSettings
 from catalog.pipeline.context import DemRecord, IngestRun
 from catalog.pipeline.relief import ReliefRecord, make_or_keep
@@ -83,7 +83,9 @@ def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord], Mosaic | None, list
     Returns that of the ground, its models, and both of the comparison, None and none without one.
     Raises DataError for a file that cannot be used, OutputError for a workspace that cannot.
     """
-    ground, comparison = (_read(run, run.config.dems_of(role)) for role in ("ground", "comparison"))
+    ground, comparison = (
+        _read_models(run, run.config.select_dems(role)) for role in ("ground", "comparison")
+    )
     records = [[record for _, record in by_role] for by_role in (ground, comparison)]
     kept = {record.folder.removeprefix("dem-") for by_role in records for record in by_role}
     run.workspace.keep_only("dem", kept)
@@ -95,7 +97,9 @@ def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord], Mosaic | None, list
     return mosaics[0], records[0], mosaics[1], records[1]
 
 
-def _read(run: IngestRun, sections: Sequence[DemSection]) -> list[tuple[HeightPyramid, DemRecord]]:
+def _read_models(
+    run: IngestRun, sections: Sequence[DemSection]
+) -> list[tuple[HeightPyramid, DemRecord]]:
     """Terrain models with their overviews, made or kept."""
     body, workspace = run.body, run.workspace
     pyramids: list[tuple[HeightPyramid, DemRecord]] = []
@@ -103,10 +107,10 @@ def _read(run: IngestRun, sections: Sequence[DemSection]) -> list[tuple[HeightPy
         # what a model is for, and how far it is wrong, does not change how it is read
         settings = DemSettings(*(getattr(section, name) for name in DemSettings.__struct_fields__))
         source = DemSource.open(settings, run.folder, body)
-        digest = content_hash(source.files, workspace, run.progress)
+        digest = hash_contents(source.files, workspace, run.progress)
         # where the file lies, how it ranks and how it ends do not change its overviews
         plain = {k: v for k, v in msgspec.structs.asdict(settings).items() if k not in UNIMPORTANT}
-        folder = f"dem-{stage_key(FORMAT, body.name, body.radius_m, plain, digest)}"
+        folder = f"dem-{compute_stage_key(FORMAT, body.name, body.radius_m, plain, digest)}"
         path = workspace.path(folder)
         pyramid = HeightPyramid.load(source, path)
         if pyramid is None:
@@ -139,7 +143,7 @@ def _record(pyramid: HeightPyramid, digest: str, folder: str) -> DemRecord:
     )
 
 
-def covered_cells(mosaic: Terrain, grid: CellGrid, bbox: Bbox | None) -> IntArray:
+def find_covered_cells(mosaic: Terrain, grid: CellGrid, bbox: Bbox | None) -> IntArray:
     """Numbers of the cells that have any ground, sorted; only those with their middle in a bbox.
 
     A cell at the edge of a DEM counts: whether whole patches fit in it shows when it is rendered.
@@ -154,7 +158,8 @@ def covered_cells(mosaic: Terrain, grid: CellGrid, bbox: Bbox | None) -> IntArra
         wide = np.isfinite([west, east]).all() and west != east
         if not (-90.0 <= south < north <= 90.0 and wide):
             raise UsageError(
-                f"--bbox {_text(bbox)}: wanted W,S,E,N in degrees with S < N, both within -90..90"
+                f"--bbox {_format_bounds(bbox)}: wanted W,S,E,N in degrees with S < N, both within "
+                "-90..90"
             )
         cells = grid.find_cells_in_bbox(west, south, east, north)
     covered = np.zeros(cells.size, dtype=bool)
@@ -163,10 +168,10 @@ def covered_cells(mosaic: Terrain, grid: CellGrid, bbox: Bbox | None) -> IntArra
     posting = max(mosaic.posting_m, step_m / 2.0)
     for first in range(0, cells.size, 4096):
         part = cells[first : first + 4096]
-        lat, lon = _lattice(grid, part)
+        lat, lon = _sample_cells(grid, part)
         covered[first : first + 4096] = mosaic.covers(lat, lon, posting).any(axis=1)
     if not covered.any():
-        where = f"--bbox {_text(bbox)} holds" if bbox is not None else "the body has"
+        where = f"--bbox {_format_bounds(bbox)} holds" if bbox is not None else "the body has"
         raise DataError(
             f"{where} no cell with ground, of {cells.size} of {grid.step_deg:g} deg "
             f"({mosaic.extent}, W,S,E,N); give a box or terrain models that meet"
@@ -174,7 +179,7 @@ def covered_cells(mosaic: Terrain, grid: CellGrid, bbox: Bbox | None) -> IntArra
     return cells[covered]
 
 
-def _lattice(grid: CellGrid, cells: IntArray) -> tuple[FloatArray, FloatArray]:
+def _sample_cells(grid: CellGrid, cells: IntArray) -> tuple[FloatArray, FloatArray]:
     """Latitudes and longitudes (rad), (n, LATTICE²) each, of points spread over cells."""
     bounds = np.array([grid.bounds_deg(int(cell)) for cell in cells])
     west, south, east, north = bounds.T[:, :, None]
@@ -183,11 +188,11 @@ def _lattice(grid: CellGrid, cells: IntArray) -> tuple[FloatArray, FloatArray]:
     return np.radians(south + (north - south) * down), np.radians(west + (east - west) * along)
 
 
-def _text(bounds: Sequence[float] | FloatArray) -> str:
+def _format_bounds(bounds: Sequence[float] | FloatArray) -> str:
     return ",".join(f"{value:.6g}" for value in bounds)
 
 
-def chunks_of(grid: CellGrid, cells: IntArray) -> list[list[int]]:
+def cut_chunks(grid: CellGrid, cells: IntArray) -> list[list[int]]:
     """Cells in chunks of neighbours, so that a worker's chunk reads little terrain.
 
     The cut depends on the cells alone, never on the workers.
@@ -214,12 +219,12 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
     body, workspace = run.body, run.workspace
     path = resolve_path(settings.path, run.folder)
     # the loader's own words for a file that is missing come before those of the checksum
-    digest = content_hash([path], workspace, run.progress) if path.is_file() else ""
+    digest = hash_contents([path], workspace, run.progress) if path.is_file() else ""
     plain = MeshSettings(path.suffix, settings.units, settings.longitude)
-    key = stage_key(code_key(), body.name, body.radii_m, plain, digest, finest_m)
+    key = compute_stage_key(hash_package(), body.name, body.radii_m, plain, digest, finest_m)
     folder = f"mesh-{key}"
     stored = workspace.get(f"{folder}/{RECORD}")
-    record = None if stored is None else stored_json(stored, MeshRecord)
+    record = None if stored is None else decode_stored_json(stored, MeshRecord)
     corners_path = workspace.path(folder, CORNERS)
     if (
         record is not None
@@ -229,7 +234,7 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
         run.account.kept += 1
     else:
         shape = load_shape(settings, run.folder, body, run.progress)
-        halvings = _halvings(shape, finest_m)
+        halvings = _count_halvings(shape, finest_m)
         corners = io.BytesIO()
         if halvings:  # of a smooth surface through the vertices
             smooth = settings.longitude, METRES[settings.units], shape.vertices, shape.faces
@@ -265,7 +270,7 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
     return MeshTerrain(body, corners_path, record.name, record.posting_m, normals_m), record
 
 
-def _halvings(shape: Shape, finest_m: float) -> int:
+def _count_halvings(shape: Shape, finest_m: float) -> int:
     """Count the halvings of edges until faces span few nodes, as far as memory allows."""
     wanted = math.ceil(math.log2(shape.posting_m / (FACE_NODES * finest_m)) - 1e-9)
     if shape.posting_m <= finest_m or wanted <= 0:
@@ -295,6 +300,6 @@ def settle_pyramid(run: IngestRun) -> tuple[PyramidSettings, float]:
 
 def settle_mesh_relief(run: IngestRun, terrain: MeshTerrain, mesh: MeshRecord) -> ReliefRecord:
     """Make the relief of the whole body, or keep that of an earlier run."""
-    record = ReliefRecord(stage_key(code_key(), mesh.folder), {})
+    record = ReliefRecord(compute_stage_key(hash_package(), mesh.folder), {})
     make_or_keep(run, record.key, lambda: prepare_relief(make_mesh_relief(terrain)))
     return record

@@ -10,15 +10,15 @@ import msgspec
 import catalog
 from catalog.errors import ConfigError
 from catalog.geometry.cells import CellGrid
-from catalog.jobs.workspace import code_key, stage_key
+from catalog.jobs.workspace import compute_stage_key, hash_package
 from catalog.pipeline.comparison import check_comparison
-from catalog.pipeline.config import BuildConfig, DemSection, MeshSection, stated_error
+from catalog.pipeline.config import BuildConfig, DemSection, MeshSection, make_stated_error
 from catalog.pipeline.context import DemRecord, IngestRun, StageContext
 from catalog.pipeline.ingest import (
     Bbox,
     MeshRecord,
-    chunks_of,
-    covered_cells,
+    cut_chunks,
+    find_covered_cells,
     ingest,
     ingest_mesh,
     settle_mesh_relief,
@@ -85,7 +85,7 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
         config = msgspec.structs.replace(config, pyramid=pyramid)
         terrain, mesh = ingest_mesh(run, posting)
         _check_cells(run, posting)
-        cells = covered_cells(terrain, grid, bbox)
+        cells = find_covered_cells(terrain, grid, bbox)
         relief: ReliefRecord | None = settle_mesh_relief(run, terrain, mesh)
         records: list[DemRecord | MeshRecord] = [mesh]
         read: list[tuple[object, ...]] = [(mesh.sha256, mesh.folder)]
@@ -94,21 +94,21 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
         posting = config.pyramid.posting_m or terrain.posting_m
         _check_posting(run, posting, terrain.posting_m)
         _check_cells(run, posting)
-        cells = covered_cells(terrain, grid, bbox)
+        cells = find_covered_cells(terrain, grid, bbox)
         relief = settle_relief(run, terrain, dems)
         records = [*dems]
         # paths and ranks do not matter by themselves: what was read, and in which order, does
         read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
-    first = stage_key(code_key(), body.name, read, cells.tolist())
-    keys = _keys(first, config, posting, [(dem.sha256, dem.folder) for dem in compared])
+    first = compute_stage_key(hash_package(), body.name, read, cells.tolist())
+    keys = _make_stage_keys(first, config, posting, [(dem.sha256, dem.folder) for dem in compared])
     context = StageContext(body, terrain, grid, posting, config, second)
     check_comparison(context, str(run.config_path), cells.tolist())
-    errors = _stated_errors(run, terrain.names, records)
+    errors = _collect_stated_errors(run, terrain.names, records)
     comparison = None
     if second is not None:
         hashes = dict(zip(second.names, (dem.sha256 for dem in compared), strict=True))
         comparison = ComparisonMeta(hashes, config.comparison.max_shift_m)
-    chunks = chunks_of(grid, cells)
+    chunks = cut_chunks(grid, cells)
     inputs = BuildInputs(context, records, chunks, keys, relief, errors, comparison)
     manifest = {
         "software": f"optnav {catalog.__version__}",
@@ -122,7 +122,7 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
     return inputs
 
 
-def _keys(
+def _make_stage_keys(
     first: str, config: BuildConfig, posting_m: float, compared: list[tuple[str, str]]
 ) -> dict[str, str]:
     """Keys of the stages; each depends on the one before and on the stage's own settings."""
@@ -134,7 +134,7 @@ def _keys(
         "write": (config.write,),
     }
     for stage, settings in parts.items():
-        keys[stage] = first = stage_key(first, stage, settings)
+        keys[stage] = first = compute_stage_key(first, stage, settings)
     return keys
 
 
@@ -155,17 +155,17 @@ def _check_posting(run: IngestRun, posting_m: float, finest_m: float) -> None:
         )
 
 
-def _stated_errors(
+def _collect_stated_errors(
     run: IngestRun, names: tuple[str, ...], records: Sequence[DemRecord | MeshRecord]
 ) -> dict[str, TerrainErrorModel]:
     """The stated errors by names of models, which stand as their records do.
 
     Raises ConfigError for one larger than the heights themselves.
     """
-    sections: list[DemSection | MeshSection] = [*run.config.dems_of("ground")]
+    sections: list[DemSection | MeshSection] = [*run.config.select_dems("ground")]
     errors = {}
     for name, section, record in zip(names, sections or run.config.mesh, records, strict=True):
-        error = TerrainErrorModel.make(stated_error(section), record.posting_m)
+        error = TerrainErrorModel.make(make_stated_error(section), record.posting_m)
         lowest, highest = run.body.plausible_heights_m
         if isinstance(record, DemRecord):
             lowest, highest = record.lowest_m, record.highest_m

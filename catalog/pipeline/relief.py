@@ -12,7 +12,13 @@ import msgspec
 import numpy as np
 
 from catalog.errors import DataError
-from catalog.jobs.workspace import Workspace, code_key, content_hash, encode_records, stage_key
+from catalog.jobs.workspace import (
+    Workspace,
+    compute_stage_key,
+    encode_records,
+    hash_contents,
+    hash_package,
+)
 from catalog.pipeline.context import DemRecord, IngestRun
 from catalog.store.relief import PreparedRelief, prepare_relief
 from catalog.terrain.dem.mosaic import Mosaic
@@ -64,11 +70,11 @@ def settle_relief(run: IngestRun, mosaic: Mosaic, dems: list[DemRecord]) -> Reli
             check_share(sum(shares) + measure_share_within_bounds(named), named.path, mosaic.body)
         except DataError as error:
             raise DataError(f"{run.config_path}: [relief] dem: {error}") from None
-        digest = content_hash(named.files, workspace, run.progress)
+        digest = hash_contents(named.files, workspace, run.progress)
         sources = {f"{named.path.name} (relief)": digest}
         parts += [digest, msgspec.structs.replace(wanted, path="")]
-    key = stage_key(code_key(), mosaic.body.name, parts)
-    make_or_keep(run, key, lambda: _made(run, mosaic, shares, named))
+    key = compute_stage_key(hash_package(), mosaic.body.name, parts)
+    make_or_keep(run, key, lambda: _make_relief(run, mosaic, shares, named))
     if named is not None:
         named.close()
     return ReliefRecord(key, sources)
@@ -77,37 +83,37 @@ def settle_relief(run: IngestRun, mosaic: Mosaic, dems: list[DemRecord]) -> Reli
 def make_or_keep(run: IngestRun, key: str, make: Callable[[], PreparedRelief | None]) -> None:
     """Leave the relief of a key in the work folder, made now unless it is there, and no other."""
     workspace = run.workspace
-    if workspace.whole(_name(key)):
+    if workspace.is_intact(_format_path(key)):
         run.account.kept += 1
     else:
         made = make()
-        workspace.put(_name(key), encode_records([made] if made is not None else []))
+        workspace.put(_format_path(key), encode_records([made] if made is not None else []))
         run.account.done += 1
     workspace.keep_only("relief", {key})
 
 
-def stored_relief(workspace: Workspace, record: ReliefRecord) -> PreparedRelief | None:
+def read_stored_relief(workspace: Workspace, record: ReliefRecord) -> PreparedRelief | None:
     """The relief that `settle_relief` left; None where the models do not show the whole body.
 
     Raises DataError for a work folder whose medium fails.
     """
-    records = workspace.records(_name(record.key), PreparedRelief)
+    records = workspace.read_records(_format_path(record.key), PreparedRelief)
     if records is None:
         raise DataError(
-            f"{workspace.path(_name(record.key))}: changed after it was written; its medium may be "
-            "failing: give the same command again"
+            f"{workspace.path(_format_path(record.key))}: changed after it was written; its medium "
+            "may be failing: give the same command again"
         )
     return records[0] if records else None
 
 
-def _made(
+def _make_relief(
     run: IngestRun, mosaic: Mosaic, shares: list[float], named: DemSource | None
 ) -> PreparedRelief | None:
-    body, sums = mosaic.body, CellSums(_rows(mosaic, shares, named))
+    body, sums = mosaic.body, CellSums(_choose_rows(mosaic, shares, named))
     cell_m = np.pi * body.radius_m / len(sums.means)
     names, covered = [], 0.0
     for pyramid, name in zip(mosaic.pyramids, mosaic.names):
-        sums.fill_from(_layer(pyramid, cell_m / SAMPLES_ACROSS), run.progress)
+        sums.fill_from(_make_layer(pyramid, cell_m / SAMPLES_ACROSS), run.progress)
         if sums.coverage > covered:
             names.append(name)
         covered = sums.coverage
@@ -124,7 +130,7 @@ def _made(
     return prepare_relief(finish_relief(sums, body.radius_m, " + ".join(names)))
 
 
-def _rows(mosaic: Mosaic, shares: list[float], named: DemSource | None) -> int:
+def _choose_rows(mosaic: Mosaic, shares: list[float], named: DemSource | None) -> int:
     """Rows of the relief: half of the body's ground is shown by models as fine, or finer."""
     steps = [pyramid.source.georeference.row_angle for pyramid in mosaic.pyramids]
     if named is not None:
@@ -135,7 +141,7 @@ def _rows(mosaic: Mosaic, shares: list[float], named: DemSource | None) -> int:
     return count_rows(steps[order[int(np.searchsorted(shown, shown[-1] / 2.0))]])
 
 
-def _layer(pyramid: HeightPyramid, posting_m: float) -> Layer:
+def _make_layer(pyramid: HeightPyramid, posting_m: float) -> Layer:
     """A model at the overview that has this posting, or at its own where none is as fine."""
     level = pyramid.choose_level(posting_m)
     is_untiled = level == 0 and not pyramid.record.tiled_copy
@@ -144,5 +150,5 @@ def _layer(pyramid: HeightPyramid, posting_m: float) -> Layer:
     return Layer(pyramid.source.georeference, level, pyramid.shape(level), block, read)
 
 
-def _name(key: str) -> str:
+def _format_path(key: str) -> str:
     return f"relief-{key}/records.bin"

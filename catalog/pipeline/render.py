@@ -13,12 +13,12 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import MapProjection
-from catalog.pipeline.cell_map import FINE_LEVELS, blurred, missing_share, suns_of
+from catalog.pipeline.cell_map import FINE_LEVELS, blur_grid, measure_missing_share, sample_suns
 from catalog.pipeline.context import StageContext
-from catalog.pipeline.shortlist import shortlists
-from catalog.rasters import held_settings
+from catalog.pipeline.shortlist import make_shortlists
+from catalog.rasters import keep_gdal_settings
 from catalog.rendering.map_view import render_map_quickly
-from catalog.selection.localisation import hessian_eigenvalue, predict_match
+from catalog.selection.localisation import compute_hessian_eigenvalue, predict_match
 
 # Ground about all windows that throws shadows into them. Farther relief is left out: under a Sun of
 # 8 deg what stands higher than a seventh of its distance would count.
@@ -52,36 +52,36 @@ class RenderedCell(msgspec.Struct, frozen=True):
 
 def render_chunk(context: StageContext, cells: Sequence[int]) -> list[RenderedCell]:
     """Candidates of cells; a cell whose ground is all holes is left out."""
-    with held_settings():
-        return _rendered(context, cells)
+    with keep_gdal_settings():
+        return _render_cells(context, cells)
 
 
-def _rendered(context: StageContext, cells: Sequence[int]) -> list[RenderedCell]:
+def _render_cells(context: StageContext, cells: Sequence[int]) -> list[RenderedCell]:
     records = []
-    for cell, shortlist in shortlists(context, cells).items():
+    for cell, shortlist in make_shortlists(context, cells).items():
         latitude = context.sun_latitude_deg(*context.grid.centre_deg(cell))
-        suns = suns_of(context.config.render, latitude)
+        suns = sample_suns(context.config.render, latitude)
         scores = [
             score
-            for group in _groups(context, shortlist.places)
-            for score in _scores(context, suns, group)
+            for group in _group_places(context, shortlist.places)
+            for score in _score_places(context, suns, group)
         ]
         candidates = [
-            Candidate(lat, lon, *score, _missing(context, lat, lon, shortlist.complete))
+            Candidate(lat, lon, *score, _measure_holes(context, lat, lon, shortlist.complete))
             for (lat, lon), score in zip(shortlist.places.tolist(), scores, strict=True)
         ]
         records.append(RenderedCell(cell, tuple(candidates)))
     return records
 
 
-def _groups(context: StageContext, places: FloatArray) -> list[FloatArray]:
+def _group_places(context: StageContext, places: FloatArray) -> list[FloatArray]:
     """Places that are rendered on one ground: all, or each alone where they lie far apart.
 
     Or where each has a plane of its own.
     """
     if context.mosaic.own_planes:
         return [places[i : i + 1] for i in range(len(places))]
-    offsets = _offsets(context, places)[1]
+    offsets = _compute_offsets(context, places)[1]
     alone = context.config.render.window_nodes + 2 * SHADOW_NODES
     together = 2.0 * np.abs(offsets).max() + alone
     if together**2 <= WIDE_GROUND * len(places) * alone**2:
@@ -89,7 +89,7 @@ def _groups(context: StageContext, places: FloatArray) -> list[FloatArray]:
     return [places[i : i + 1] for i in range(len(places))]
 
 
-def _offsets(context: StageContext, places: FloatArray) -> tuple[MapProjection, FloatArray]:
+def _compute_offsets(context: StageContext, places: FloatArray) -> tuple[MapProjection, FloatArray]:
     """A map projection in the middle of places, and the nodes (n, 2) from there down and along."""
     lat, lon = np.radians(places).T
     xyz = context.mosaic.points(lat, lon)
@@ -100,7 +100,7 @@ def _offsets(context: StageContext, places: FloatArray) -> tuple[MapProjection, 
     return projection, np.stack([-y, x], axis=1) / context.posting_m
 
 
-def _scores(
+def _score_places(
     context: StageContext, suns: FloatArray, places: FloatArray
 ) -> Iterator[tuple[float, Float32Array]]:
     """Hessian eigenvalue, and predicted 1-sigma errors (levels, suns) over correlation, of places.
@@ -109,7 +109,7 @@ def _scores(
     """
     settings = context.config.render
     window = settings.window_nodes
-    projection, offsets = _offsets(context, places)
+    projection, offsets = _compute_offsets(context, places)
     postings = context.postings_m[: settings.levels]
     grids, windows = [], []
     for level, posting in enumerate(postings):
@@ -124,7 +124,7 @@ def _scores(
     for level, (grid, posting) in enumerate(zip(grids, postings, strict=True)):
         outer = [*zip(grids[level + 1 :], postings[level + 1 :], strict=True), *beyond]
         for k, sun in enumerate(suns):
-            picture = blurred(
+            picture = blur_grid(
                 render_map_quickly(
                     grid, posting, sun, radius_m=projection.radius_m, law=settings.law, outer=outer
                 )
@@ -132,10 +132,10 @@ def _scores(
             for i, inside in enumerate(windows[level]):
                 errors[i, level, k] = predict_match(picture[inside], settings.snr).score
     for inside, error in zip(windows[0], errors, strict=True):
-        yield hessian_eigenvalue(grids[0][inside], context.posting_m), error
+        yield compute_hessian_eigenvalue(grids[0][inside], context.posting_m), error
 
 
-def _missing(
+def _measure_holes(
     context: StageContext, lat_deg: float, lon_deg: float, complete: bool
 ) -> tuple[float, ...]:
     """Share of holes in the finest patches of a place."""
@@ -144,4 +144,4 @@ def _missing(
         return (0.0,) * len(postings)
     # the whole patches are cut later; their holes are counted on a few nodes
     projection = context.projection(lat_deg, lon_deg)
-    return tuple(missing_share(context, projection, posting) for posting in postings)
+    return tuple(measure_missing_share(context, projection, posting) for posting in postings)

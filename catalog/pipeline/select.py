@@ -9,7 +9,7 @@ from catalog.pipeline.cell_map import MAX_MISSING
 from catalog.pipeline.context import StageContext
 from catalog.pipeline.render import RenderedCell
 from catalog.selection.spacing import choose_spaced
-from catalog.store.records import rounded_place
+from catalog.store.records import round_latlon
 
 
 class Place(msgspec.Struct, frozen=True):
@@ -43,7 +43,9 @@ def select(context: StageContext, records: Sequence[RenderedCell]) -> list[Selec
     cells = [record.cell for record in ordered for _ in record.candidates]
     dark = context.config.check.max_shadowed if context.mosaic.own_planes else 0.0
     places = [
-        candidate for record in ordered for candidate in _places(record, settings.percentile, dark)
+        candidate
+        for record in ordered
+        for candidate in _rank_places(record, settings.percentile, dark)
     ]
     choices = choose_spaced(
         cells,
@@ -59,7 +61,7 @@ def select(context: StageContext, records: Sequence[RenderedCell]) -> list[Selec
     ]
 
 
-def _places(record: RenderedCell, percentile: float, dark: float) -> list[Place]:
+def _rank_places(record: RenderedCell, percentile: float, dark: float) -> list[Place]:
     """A cell's candidates, each with the percentile of its errors over Suns, at its worst level.
 
     dark  share of the Suns that may leave a place without any light; these do not count
@@ -75,7 +77,7 @@ def _places(record: RenderedCell, percentile: float, dark: float) -> list[Place]
     worst = np.take_along_axis(errors, ranks[..., None], axis=2)[..., 0].max(axis=1).tolist()
     return [
         Place(
-            *rounded_place(candidate.lat_deg, candidate.lon_deg),
+            *round_latlon(candidate.lat_deg, candidate.lon_deg),
             localisation_nodes=error,
             hessian_eigenvalue=candidate.hessian_eigenvalue,
             missing=max(candidate.missing),

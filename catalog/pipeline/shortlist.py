@@ -15,15 +15,20 @@ from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.geometry.cells import Graticule, Part
 from catalog.geometry.latlon import wrap_longitude_deg
 from catalog.pipeline.cell_map import (
-    cell_ground,
+    compute_place_step,
+    cut_cell_ground,
+    find_strongest,
     has_whole_patches,
-    places_step,
-    strongest_of,
-    suns_of,
+    sample_suns,
 )
 from catalog.pipeline.context import StageContext
-from catalog.selection.localisation import sun_products
-from catalog.selection.sweep import MARGIN, strongest_windows, tile_sums, window_eigenvalues
+from catalog.selection.localisation import compute_sun_products
+from catalog.selection.sweep import (
+    MARGIN,
+    compute_window_eigenvalues,
+    find_strongest_windows,
+    sum_tiles,
+)
 from catalog.terrain.terrain import Terrain
 
 ZONE_BANDS = 8  # as high as a block of cells that are in work together
@@ -101,38 +106,38 @@ class Spans(NamedTuple):
     first: IntArray
     end: IntArray
 
-    def part(self, chosen: IntArray | BoolArray) -> "Spans":
+    def select(self, chosen: IntArray | BoolArray) -> "Spans":
         """Some of the cells."""
         return Spans._make(values[chosen] for values in self)
 
 
-def shortlists(context: StageContext, cells: Sequence[int]) -> dict[int, Shortlist]:
+def make_shortlists(context: StageContext, cells: Sequence[int]) -> dict[int, Shortlist]:
     """Shortlists by cell, in the order of the cells; without cells that have no ground at all."""
     asked = np.asarray(cells, dtype=np.int64)
-    zone_of = _zone_of(context, context.grid.find_bands(asked))
+    zone_of = _find_zones(context, context.grid.find_bands(asked))
     by_cell: dict[int, Shortlist] = {}
     mosaic = context.mosaic
     # without graticules each cell has a map grid of its own
     zones = np.unique(zone_of).tolist() if mosaic.has_graticules else []
     for number in zones:
-        zone = _zone(context, number)
+        zone = _make_zone(context, number)
         if zone is not None:
-            spans = _spans(context, zone, asked[zone_of == number])
-            for group in _groups(zone, spans):
-                by_cell.update(_swept(context, mosaic, zone, group))
+            spans = _find_spans(context, zone, asked[zone_of == number])
+            for group in _group_spans(zone, spans):
+                by_cell.update(_search_group(context, mosaic, zone, group))
     for cell in asked.tolist():
-        alone = None if cell in by_cell else _alone(context, cell)
+        alone = None if cell in by_cell else _search_cell(context, cell)
         if alone is not None:
             by_cell[cell] = alone
     return {cell: by_cell[cell] for cell in asked.tolist() if cell in by_cell}
 
 
-def _alone(context: StageContext, cell: int) -> Shortlist | None:
+def _search_cell(context: StageContext, cell: int) -> Shortlist | None:
     """The shortlist from a cell's own map grid."""
-    ground = cell_ground(context, cell)
+    ground = cut_cell_ground(context, cell)
     if ground is None:
         return None
-    peaks = strongest_of(context, cell, ground)
+    peaks = find_strongest(context, cell, ground)
     places = np.array([(ground.lat[peak], ground.lon[peak]) for peak in peaks])
     if (context.grid.find_cells(*places.T) != cell).any():
         # in a hollow or under a cliff the middle of a ground without one height may lie elsewhere
@@ -140,7 +145,7 @@ def _alone(context: StageContext, cell: int) -> Shortlist | None:
     return Shortlist(places, ground.complete)
 
 
-def _zone_of(context: StageContext, bands: IntArray) -> IntArray:
+def _find_zones(context: StageContext, bands: IntArray) -> IntArray:
     """Zones of bands of cells, counted from both poles: 0, 1, ... and -1, -2, ... in the north.
 
     The first two are half as high as the others: about a pole, where no graticule serves, are few
@@ -153,18 +158,21 @@ def _zone_of(context: StageContext, bands: IntArray) -> IntArray:
     return np.where(bands <= from_north, number, -1 - number)
 
 
-def _zone(context: StageContext, number: int) -> Zone | None:
+def _make_zone(context: StageContext, number: int) -> Zone | None:
     """A zone by its number; None where no graticule serves."""
     window = context.config.render.window_nodes
-    step = places_step(window)
+    step = compute_place_step(window)
     row_angle = context.posting_m / context.body.radius_m
     bands = np.arange(context.grid.bands)
-    zone_bands = bands[_zone_of(context, bands) == number]
+    zone_bands = bands[_find_zones(context, bands) == number]
     south = float(np.radians(zone_bands[0] * context.grid.step_deg - 90.0))
     north = min(float(np.radians((zone_bands[-1] + 1) * context.grid.step_deg - 90.0)), np.pi / 2.0)
     halo = (window / 2.0 + step + MARGIN) * row_angle
     reach = south - halo, north + halo
-    served = _crowding(south, north) <= MAX_CROWDED and _crowding(*reach) <= MAX_CROWDED_REACH
+    served = (
+        _compute_crowding(south, north) <= MAX_CROWDED
+        and _compute_crowding(*reach) <= MAX_CROWDED_REACH
+    )
     # whole tiles in a turn, so that they too have fixed places across ±180°
     tiles = round(2.0 * np.pi * np.cos((south + north) / 2.0) / (step * row_angle))
     if not served or tiles < 1:
@@ -172,7 +180,7 @@ def _zone(context: StageContext, number: int) -> Zone | None:
     return Zone(Graticule(row_angle, step * tiles), reach, step, window // step)
 
 
-def _crowding(south: float, north: float) -> float:
+def _compute_crowding(south: float, north: float) -> float:
     """Length of the longest over that of the shortest parallel between two latitudes (rad)."""
     farthest = max(abs(south), abs(north))
     nearest = 0.0 if south * north < 0.0 else min(abs(south), abs(north))
@@ -180,7 +188,7 @@ def _crowding(south: float, north: float) -> float:
     return float(np.cos(nearest) / shortest) if shortest > 0.0 else float("inf")
 
 
-def _spans(context: StageContext, zone: Zone, cells: IntArray) -> Spans:
+def _find_spans(context: StageContext, zone: Zone, cells: IntArray) -> Spans:
     """Spans of cells; without those that hold no window's middle, or lack ground."""
     if not context.mosaic.covers_body:
         cells = cells[[has_whole_patches(context, cell) for cell in cells.tolist()]]
@@ -194,27 +202,27 @@ def _spans(context: StageContext, zone: Zone, cells: IntArray) -> Spans:
     right = zone.col_tiles(np.radians(east - along))
     reach = np.maximum(zone.wide(top), zone.wide(bottom - 1)) / 2.0 + 1.0
     first, end = np.floor(left - reach).astype(np.int64), np.ceil(right + reach).astype(np.int64)
-    return Spans(cells, top, bottom, left, right, first, end).part(top < bottom)
+    return Spans(cells, top, bottom, left, right, first, end).select(top < bottom)
 
 
-def _groups(zone: Zone, spans: Spans) -> Iterator[Spans]:
+def _group_spans(zone: Zone, spans: Spans) -> Iterator[Spans]:
     """Cells that are swept together: those whose windows overlap, as long as memory allows."""
     if not spans.cells.size:
         return
-    spans = spans.part(np.argsort(spans.first, kind="stable"))
+    spans = spans.select(np.argsort(spans.first, kind="stable"))
     height = (spans.bottom.max() - spans.top.min() + zone.tall) * zone.step
     widest = max(1, MAX_PART // (int(height) * zone.step))  # tiles
     begin, reached = 0, int(spans.end[0])
     for i in range(1, spans.cells.size):
         first, end = int(spans.first[i]), int(spans.end[i])
         if first > reached or end - int(spans.first[begin]) > widest:
-            yield spans.part(np.arange(begin, i))
+            yield spans.select(np.arange(begin, i))
             begin, reached = i, end
         reached = max(reached, end)
-    yield spans.part(np.arange(begin, spans.cells.size))
+    yield spans.select(np.arange(begin, spans.cells.size))
 
 
-def _swept(
+def _search_group(
     context: StageContext, mosaic: Terrain, zone: Zone, group: Spans
 ) -> Iterator[tuple[int, Shortlist]]:
     """Shortlists of cells from one sweep; without cells that have holes, or no relief at all."""
@@ -228,16 +236,16 @@ def _swept(
     heights = mosaic.graticule_heights(zone.graticule, part, context.posting_m, zone.latitudes)
     across = np.cos(zone.graticule.lat(part.rows[MARGIN:-MARGIN]))
     stretch = zone.graticule.row_angle / (zone.graticule.column_angle * across)
-    tiles = tile_sums(heights, context.posting_m, stretch, step)
+    tiles = sum_tiles(heights, context.posting_m, stretch, step)
     separation = settings.separation_cell * np.radians(context.grid.step_deg)
     for top in np.unique(group.top).tolist():  # a band of cells has one set of Suns
-        band = group.part(group.top == top)
+        band = group.select(group.top == top)
         firsts = np.arange(top, band.bottom[0])
         wide = zone.wide(firsts)
         band_tiles = tiles[:, top - row : int(band.bottom[0]) - row + zone.tall - 1]
-        suns = suns_of(settings, context.grid.centre_deg(int(band.cells[0]))[0])
-        peaks = strongest_windows(
-            window_eigenvalues(band_tiles, zone.tall, wide, sun_products(suns)),
+        suns = sample_suns(settings, context.grid.centre_deg(int(band.cells[0]))[0])
+        peaks = find_strongest_windows(
+            compute_window_eigenvalues(band_tiles, zone.tall, wide, compute_sun_products(suns)),
             wide,
             band.west - col,
             band.east - col,

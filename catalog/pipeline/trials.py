@@ -17,9 +17,9 @@ from catalog.selection.trial import (
     Level,
     Outcome,
     Search,
+    compute_truth_size,
     draw_circumstances,
     run_trial,
-    truth_size,
 )
 from catalog.terrain.synthetic.relief import SyntheticRelief
 
@@ -31,7 +31,7 @@ SUN_AZIMUTHS = 4
 MAX_RELIEF = 0.4  # of the radius: the posting below which relief is added; craters have twice it
 
 
-def outcomes_at(
+def run_trials(
     context: StageContext,
     patches: Sequence[Patch],
     lat_deg: float,
@@ -51,7 +51,7 @@ def outcomes_at(
     settings = context.config.check
     search = Search(template_nodes=min(settings.template_nodes, context.size))
     projection = context.projection(lat_deg, lon_deg)
-    levels = _levels(context, projection, patches, search, relief_seed)
+    levels = _cut_levels(context, projection, patches, search, relief_seed)
     # coarser patches beyond the trial's levels throw shadows in
     outer = [*patches[TRIAL_LEVELS:], *context.make_outer_patches(projection)]
     suns = sun_samples(
@@ -83,7 +83,7 @@ def outcomes_at(
         )
 
 
-def _levels(
+def _cut_levels(
     context: StageContext,
     projection: MapProjection,
     patches: Sequence[Patch],
@@ -105,10 +105,10 @@ def _levels(
     for patch in patches[:TRIAL_LEVELS]:
         # the first of a search finds the way only: as recognised from a quarter of the nodes
         finer = FINER if patch is patches[0] else 1
-        size, posting = truth_size(search, finer), patch.posting_m / finer
+        size, posting = compute_truth_size(search, finer), patch.posting_m / finer
         beyond = known, smallest, size, terrain.body.radius_m, slope_deg
         truth = terrain.local_grid(projection, posting, size)
-        truth = truth + _relief(ground % GROUNDS, posting, *beyond)
+        truth = truth + _draw_relief(ground % GROUNDS, posting, *beyond)
         # as navigation does, which knows the posting of shape models only
         blur = blur_nodes(patch.posting_m, terrain.posting_m) if terrain.in_planes else 0.0
         levels.append(Level(patch.heights_m, truth, patch.posting_m, blur, finer))
@@ -116,7 +116,7 @@ def _levels(
 
 
 @lru_cache(maxsize=64)
-def _relief(
+def _draw_relief(
     ground: int,
     posting_m: float,
     dem_posting_m: float,

@@ -23,17 +23,17 @@ import msgspec
 import catalog
 from catalog.control_point import ControlPoint
 from catalog.errors import DataError
-from catalog.files import stored_json
+from catalog.files import decode_stored_json
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import Workers
 from catalog.jobs.workspace import ChunkResults, Workspace
 from catalog.pipeline.context import StageContext
 from catalog.progress import Progress
-from catalog.rasters import held_settings
-from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
+from catalog.rasters import keep_gdal_settings
+from catalog.store.connection import SealState, check_seal, connect, find_live_log, read_meta
 from catalog.store.manifest import CatalogMeta, ComparisonMeta, PlanesMeta
 from catalog.store.patches import PreparedPoint, prepare_point
-from catalog.store.records import rounded_point, rounded_vertical
+from catalog.store.records import round_point, round_vertical
 from catalog.store.relief import PreparedRelief
 from catalog.store.writer import Written, write_catalog
 from catalog.terrain.error_model import TerrainErrorModel
@@ -58,25 +58,25 @@ class CatalogExtras(NamedTuple):
     comparison: ComparisonMeta | None = None
 
 
-def remember_published(workspace: Workspace, key: str, path: Path) -> None:
+def record_published(workspace: Workspace, key: str, path: Path) -> None:
     """Note that the catalog at a path was made from what the key stands for."""
-    meta = _meta(path)
+    meta = _read_published_meta(path)
     if meta is not None:
         workspace.put(FILE, msgspec.json.encode({"key": key, "seal": meta.seal}))
 
 
 def find_published(workspace: Workspace, key: str, path: Path) -> Written | None:
     """The catalog at a path, if it is the remembered one of this key and whole to the last byte."""
-    memory = stored_json(workspace.get(FILE) or b"", dict[str, str]) or {}
-    meta = _meta(path) if memory.get("key") == key else None
-    if meta is None or meta.seal != memory.get("seal") or live_log(path):
+    memory = decode_stored_json(workspace.get(FILE) or b"", dict[str, str]) or {}
+    meta = _read_published_meta(path) if memory.get("key") == key else None
+    if meta is None or meta.seal != memory.get("seal") or find_live_log(path):
         return None
-    if seal_state(path, meta.seal) is not SealState.WHOLE:
+    if check_seal(path, meta.seal) is not SealState.WHOLE:
         return None
     return Written(path, meta.count, meta.usable, meta.digest, path.stat().st_size)
 
 
-def _meta(path: Path) -> CatalogMeta | None:
+def _read_published_meta(path: Path) -> CatalogMeta | None:
     try:
         with closing(connect(path)) as db:
             return read_meta(db, path)
@@ -97,7 +97,7 @@ def write(
 ) -> Written:
     """Write the catalog file of points in the order of their ids, with their patches.
 
-    chunks   of the chosen points of all cells, usable or not, see `point_chunks`
+    chunks   of the chosen points of all cells, usable or not, see `group_points`
     output   the catalog; an older one stays whole until the new one is complete
     extras   what it holds beside them
     results  where prepared points rest until the file is whole
@@ -107,7 +107,7 @@ def write(
     planes = None
     if terrain.in_planes:
         points = [point for chunk in chunks for point in chunk]
-        verticals = {point.id: rounded_vertical(point.vertical_deg) for point in points}
+        verticals = {point.id: round_vertical(point.vertical_deg) for point in points}
         known = {number: vertical for number, vertical in verticals.items() if vertical is not None}
         planes = PlanesMeta(context.body.radii_m, terrain.posting_m, known)
     meta = CatalogMeta(
@@ -128,11 +128,11 @@ def write(
     )
     with progress.stage("write", sum(map(len, chunks)), "point") as shown:
         ready = results.make(prepare_chunk, context, chunks, workers, account, shown)
-        prepared = _in_order(results, chunks, ready)
+        prepared = _order_points(results, chunks, ready)
         return write_catalog(output, meta, prepared, relief=extras.relief)
 
 
-def point_chunks(
+def group_points(
     cells: Sequence[Sequence[int]], points: Sequence[ControlPoint]
 ) -> list[list[ControlPoint]]:
     """Points in the pieces of neighbours that their cells were cut into, by id in each."""
@@ -144,14 +144,14 @@ def prepare_chunk(context: StageContext, points: Sequence[ControlPoint]) -> list
     """Cut and compress the patches of some points; runs in a worker."""
     steps = context.config.write.steps_m(context.postings_m)
     # the patches are centred on the place that the catalog will state
-    with held_settings():
+    with keep_gdal_settings():
         return [
             prepare_point(point, context.patches(point.lat_deg, point.lon_deg), steps)
-            for point in map(rounded_point, points)
+            for point in map(round_point, points)
         ]
 
 
-def _in_order(
+def _order_points(
     results: ChunkResults, chunks: Sequence[Sequence[ControlPoint]], ready: Iterator[int]
 ) -> Iterator[PreparedPoint]:
     """Prepared points by id; what is ready early waits in its file for what is late.
@@ -164,7 +164,7 @@ def _in_order(
         while wanted not in early:
             early.add(next(ready))
         if wanted not in held:
-            prepared = results.records(wanted)
+            prepared = results.read(wanted)
             if prepared is None:
                 raise DataError(
                     f"{results.workspace.path(results.name(wanted))}: changed after it was "

@@ -39,13 +39,13 @@ LOBE_NODES = 3
 
 
 @inplace_kernel
-def eigenvalue_row(
+def compute_eigenvalue_row(
     sums: Float32Array, least: float, directions: Float32Array, out: Float32Array
 ) -> None:
     """Worst smallest eigenvalue (cols) for a row of window sums (7, cols).
 
     The first six are of the products; where the last, the number known, is less than `least` or
-    NaN the eigenvalue is NaN. directions (n, 3): see `sun_products`.
+    NaN the eigenvalue is NaN. directions (n, 3): see `compute_sun_products`.
     """
     cols = out.size
     half, four = np.float32(0.5), np.float32(4.0)
@@ -72,7 +72,7 @@ def eigenvalue_row(
 
 
 @inplace_kernel
-def _slide_right(columns: FloatArray, window: int, step: int, sums: Float32Array) -> None:
+def _sum_windows(columns: FloatArray, window: int, step: int, sums: Float32Array) -> None:
     """Window sums (7, right) of a row from its column sums (7, cols)."""
     # seven scalars, not an array: the additions of seven chains then overlap
     s0 = s1 = s2 = s3 = s4 = s5 = s6 = 0.0
@@ -100,7 +100,7 @@ def _slide_right(columns: FloatArray, window: int, step: int, sums: Float32Array
 
 
 @kernel
-def _eigenvalue_map(
+def _compute_eigenvalue_map(
     heights: Float32Array,
     scale: float,
     window: int,
@@ -145,19 +145,19 @@ def _eigenvalue_map(
         first = row - window + 1
         if first < 0 or first % step:
             continue
-        _slide_right(columns, window, step, sums)
-        eigenvalue_row(sums, least, directions, out[first // step])
+        _sum_windows(columns, window, step, sums)
+        compute_eigenvalue_row(sums, least, directions, out[first // step])
     return out
 
 
 @cache
-def azimuth_products(azimuths: int = AZIMUTHS) -> Float32Array:
+def compute_azimuth_products(azimuths: int = AZIMUTHS) -> Float32Array:
     """(azimuths, 3): e², e n, n² of azimuths over half a turn; e, n the Sun's east and north."""
     angle = np.pi * np.arange(azimuths) / azimuths
-    return sun_products(np.stack([np.sin(angle), np.cos(angle), np.ones(azimuths)], axis=1))
+    return compute_sun_products(np.stack([np.sin(angle), np.cos(angle), np.ones(azimuths)], axis=1))
 
 
-def sun_products(suns_local: FloatArray) -> Float32Array:
+def compute_sun_products(suns_local: FloatArray) -> Float32Array:
     """(n, 3) the same for Sun directions (n, 3) east, north, up, times cot² of their elevation.
 
     With these weights an eigenvalue is that of the *relative* brightness, and a match under noise
@@ -168,7 +168,7 @@ def sun_products(suns_local: FloatArray) -> Float32Array:
     return np.stack([east * east, east * north, north * north], axis=1).astype(np.float32)
 
 
-def hessian_eigenvalue_map(
+def compute_hessian_eigenvalue_map(
     heights: Float32Array,
     posting_m: float,
     window: int,
@@ -180,7 +180,7 @@ def hessian_eigenvalue_map(
     heights    (rows, cols)  m, NaN for no data, row 0 north
     posting_m                node spacing, m
     window                   nodes a side of the summed square
-    products   (n, 3)        of the Suns, see `sun_products`; all azimuths, unweighted, without it
+    products   (n, 3)        of the Suns, see `compute_sun_products`; None: all azimuths, unweighted
     step                     evaluate every step-th node
 
     Returns ((rows - window) // step + 1, ...) float32, dimensionless; entry [i, j] is the window
@@ -194,20 +194,22 @@ def hessian_eigenvalue_map(
     # the border of a grid lacks second differences: four sides of a window at most
     least = (1.0 - MAX_MISSING) * window * window - 4.0 * window
     grid = np.ascontiguousarray(heights, dtype=np.float32)
-    weights = azimuth_products() if products is None else products
-    return _eigenvalue_map(grid, 1.0 / posting_m, window, least, weights, step)
+    weights = compute_azimuth_products() if products is None else products
+    return _compute_eigenvalue_map(grid, 1.0 / posting_m, window, least, weights, step)
 
 
-def hessian_eigenvalue(
+def compute_hessian_eigenvalue(
     heights: Float32Array, posting_m: float, products: Float32Array | None = None
 ) -> float:
     """Compute the eigenvalue of one square patch, summed over all of it; NaN when it has holes."""
     side = min(heights.shape)
-    return float(hessian_eigenvalue_map(heights[:side, :side], posting_m, side, products)[0, 0])
+    return float(
+        compute_hessian_eigenvalue_map(heights[:side, :side], posting_m, side, products)[0, 0]
+    )
 
 
 @kernel
-def _structure_tensor(brightness: Float32Array) -> tuple[float, float, float, float]:
+def _sum_structure_tensor(brightness: Float32Array) -> tuple[float, float, float, float]:
     """Its elements xx, xy and yy, x along columns, y along rows, and the mean brightness."""
     rows, cols = brightness.shape
     inner = cols - 2
@@ -230,7 +232,7 @@ def _structure_tensor(brightness: Float32Array) -> tuple[float, float, float, fl
     return mxx, mxy, myy, total / max(count, 1)
 
 
-def _contrast(brightness: Float32Array) -> float:
+def _measure_contrast(brightness: Float32Array) -> float:
     """Standard deviation of a template behind the high-pass that matching applies.
 
     Where it has no holes and even sides, the local mean is taken on half as many nodes a side.
@@ -238,7 +240,7 @@ def _contrast(brightness: Float32Array) -> float:
     rows, cols = brightness.shape
     contrast = math.nan
     if not (rows % 2 or cols % 2):
-        contrast = _contrast_by_halves(brightness, _half_taps())
+        contrast = _measure_contrast_by_halves(brightness, _compute_half_taps())
     if contrast == contrast:
         return contrast
     # holes are zero after the high-pass and count as nodes without contrast
@@ -246,7 +248,7 @@ def _contrast(brightness: Float32Array) -> float:
 
 
 @cache
-def _half_taps() -> Float32Array:
+def _compute_half_taps() -> Float32Array:
     """Weights of the blur of means of 2 x 2 nodes that is nearly the high-pass's of the nodes."""
     # means of two nodes and the way back between them blur by a variance of 1/4 and 3/4 node²
     sigma = math.sqrt(HIGH_PASS_NODES**2 - 1.0) / 2.0
@@ -255,7 +257,7 @@ def _half_taps() -> Float32Array:
 
 
 @inplace_kernel
-def _mirrored(index: int, count: int) -> int:
+def _mirror_index(index: int, count: int) -> int:
     """An index among so many, those beyond the ends mirrored about the end ones."""
     while count > 1 and not 0 <= index < count:
         index = -index if index < 0 else 2 * (count - 1) - index
@@ -273,12 +275,12 @@ def _blur(grid: Float32Array, taps: Float32Array, wide: Float32Array, out: Float
     for r in range(rows):
         inner[:] = np.float32(0.0)
         for k in range(taps.size):
-            weight, other = taps[k], grid[_mirrored(r + k - reach, rows)]
+            weight, other = taps[k], grid[_mirror_index(r + k - reach, rows)]
             for c in range(cols):
                 inner[c] += weight * other[c]
         for k in range(reach):
-            wide[reach - 1 - k] = inner[_mirrored(-1 - k, cols)]
-            wide[reach + cols + k] = inner[_mirrored(cols + k, cols)]
+            wide[reach - 1 - k] = inner[_mirror_index(-1 - k, cols)]
+            wide[reach + cols + k] = inner[_mirror_index(cols + k, cols)]
         line = out[r]
         line[:] = np.float32(0.0)
         for k in range(taps.size):
@@ -288,8 +290,8 @@ def _blur(grid: Float32Array, taps: Float32Array, wide: Float32Array, out: Float
 
 
 @kernel
-def _contrast_by_halves(brightness: Float32Array, taps: Float32Array) -> float:
-    """`_contrast` of a template with even sides; NaN with holes."""
+def _measure_contrast_by_halves(brightness: Float32Array, taps: Float32Array) -> float:
+    """`_measure_contrast` of a template with even sides; NaN with holes."""
     rows, cols = brightness.shape
     down, along = rows // 2, cols // 2
     quarter, three = np.float32(0.25), np.float32(0.75)
@@ -346,13 +348,13 @@ def predict_match(brightness: Float32Array, snr: float) -> MatchPrediction:
     snr                 mean brightness over the standard deviation of a node's noise
     """
     brightness = np.ascontiguousarray(brightness, dtype=np.float32)
-    mxx, mxy, myy, mean = _structure_tensor(brightness)
+    mxx, mxy, myy, mean = _sum_structure_tensor(brightness)
     if mean <= 0.0:
         return MatchPrediction(math.inf, 0.0)
     smallest = 0.5 * (mxx + myy - math.hypot(mxx - myy, 2.0 * mxy))
     # 1e-12 of the brightness²: below it the difference of two sums is rounding
     known = smallest > 1e-12 * mean * mean
-    contrast = _contrast(brightness) / mean
+    contrast = _measure_contrast(brightness) / mean
     return MatchPrediction(
         mean / (snr * math.sqrt(smallest)) if known else math.inf,
         contrast / math.hypot(contrast, 1.0 / snr),
@@ -360,7 +362,7 @@ def predict_match(brightness: Float32Array, snr: float) -> MatchPrediction:
 
 
 @kernel
-def best_rival(surface: Float32Array, search_nodes: float) -> float:
+def find_best_rival(surface: Float32Array, search_nodes: float) -> float:
     """Highest local maximum of a similarity surface away from its middle, -1 when there is none.
 
     surface       (2k + 1, 2k + 1)  similarity, the true place in the middle
@@ -382,7 +384,9 @@ def best_rival(surface: Float32Array, search_nodes: float) -> float:
     return best
 
 
-def uniqueness_margin(brightness: Float32Array, template_nodes: int, search_nodes: float) -> float:
+def compute_uniqueness_margin(
+    brightness: Float32Array, template_nodes: int, search_nodes: float
+) -> float:
     """One minus the similarity of the best rival: 1 with none similar, 0 for a perfect double.
 
     brightness      (n, n)  a render of the ground about the place, NaN for no data
@@ -390,5 +394,7 @@ def uniqueness_margin(brightness: Float32Array, template_nodes: int, search_node
     search_nodes            how far the search goes, nodes; capped by the room that n leaves
     Raises ValueError when the template cannot be centred in the brightness.
     """
-    rival = best_rival(compute_self_similarity_surface(brightness, template_nodes), search_nodes)
+    rival = find_best_rival(
+        compute_self_similarity_surface(brightness, template_nodes), search_nodes
+    )
     return float(min(1.0 - rival, 1.0))

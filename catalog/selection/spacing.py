@@ -27,7 +27,7 @@ class Choice(NamedTuple):
     spacing: float
 
 
-def strongest_peaks(response: Float32Array, radius: float, count: int) -> list[tuple[int, int]]:
+def find_peaks(response: Float32Array, radius: float, count: int) -> list[tuple[int, int]]:
     """Up to `count` nodes of the largest response, no two nearer than `radius` nodes.
 
     response (rows, cols), NaN where unknown; nodes of response <= 0 are never taken.

@@ -12,7 +12,7 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.geometry.kernel import inplace_kernel, kernel
-from catalog.selection.localisation import eigenvalue_row
+from catalog.selection.localisation import compute_eigenvalue_row
 
 BLUR_TAPS = 9  # four sigmas of one node, either side
 MARGIN = BLUR_TAPS // 2 + 1  # nodes that blur and second differences want around the tiles
@@ -75,7 +75,7 @@ def _add_products(
 
 
 @kernel
-def _tile_sums(
+def _sum_tiles(
     heights: Float32Array,
     taps: Float32Array,
     scale: np.float32,
@@ -111,7 +111,7 @@ def _tile_sums(
                 sums[:] = np.float32(0.0)
 
 
-def tile_sums(
+def sum_tiles(
     heights: Float32Array, posting_m: float, stretch: FloatArray, step: int
 ) -> Float32Array:
     """Sums over tiles of the six products of second differences of blurred heights.
@@ -132,12 +132,12 @@ def tile_sums(
     # one code for all columns of a row: a library's blur may round its last few otherwise
     taps = cv2.getGaussianKernel(BLUR_TAPS, 1.0)[:, 0].astype(np.float32)
     ground, scale = np.ascontiguousarray(heights, dtype=np.float32), np.float32(1.0 / posting_m)
-    _tile_sums(ground, taps, scale, stretch.astype(np.float32), step, out)
+    _sum_tiles(ground, taps, scale, stretch.astype(np.float32), step, out)
     return out
 
 
 @inplace_kernel
-def _window_eigenvalues(
+def _compute_window_eigenvalues(
     tiles: Float32Array,
     tall: int,
     wide: IntArray,
@@ -168,18 +168,18 @@ def _window_eigenvalues(
                 window[c] *= share
                 total[c] += window[c]
         out[i, fit:] = np.float32(np.nan)
-        eigenvalue_row(sums[:, :fit], -np.inf, directions, out[i, :fit])
+        compute_eigenvalue_row(sums[:, :fit], -np.inf, directions, out[i, :fit])
 
 
-def window_eigenvalues(
+def compute_window_eigenvalues(
     tiles: Float32Array, tall: int, wide: IntArray, products: Float32Array
 ) -> Float32Array:
     """Smallest eigenvalue, worst Sun, of the products summed in every window of tiles.
 
-    tiles     (6, rows, cols)  of `tile_sums`
+    tiles     (6, rows, cols)  of `sum_tiles`
     tall      tiles that a window is high
     wide      (rows - tall + 1,)  tiles that windows of a row are wide, west to east
-    products  (n, 3)  of the Suns, see `localisation.sun_products`
+    products  (n, 3)  of the Suns, see `localisation.compute_sun_products`
 
     Returns (rows - tall + 1, cols) float32 as of square windows of tall x tall tiles; entry [i, j]
     is the window whose first tile is (i, j). NaN for a window that lacks a height or does not fit.
@@ -188,12 +188,12 @@ def window_eigenvalues(
     if wide.shape != (out.shape[0],) or out.shape[0] < 1 or wide.max() > tiles.shape[2]:
         raise ValueError(f"windows of {tall} x {wide} tiles do not fit into {tiles.shape}")
     room = np.empty((6, tiles.shape[2]), np.float32), np.empty((7, tiles.shape[2]), np.float32)
-    _window_eigenvalues(tiles, tall, wide, products, room, out)
+    _compute_window_eigenvalues(tiles, tall, wide, products, room, out)
     return out
 
 
 @kernel
-def strongest_windows(
+def find_strongest_windows(
     response: Float32Array,
     wide: IntArray,
     west: FloatArray,

@@ -116,7 +116,7 @@ WINDOW_REACH = 1.25
 MAX_SHIFT_NODES = 5.0  # of a point from its predicted place
 
 
-def truth_size(search: Search, finer: int = FINER) -> int:
+def compute_truth_size(search: Search, finer: int = FINER) -> int:
     """Nodes a side of the truth grid that covers a search window whatever its distortion."""
     window = search.template_nodes + 2 * max(search.coarse_nodes, search.fine_nodes)
     return 2 * math.ceil(finer * window * WINDOW_REACH / 2.0)
@@ -157,7 +157,7 @@ def draw_circumstances(
     )
 
 
-def distortion(circumstances: Circumstances) -> FloatArray:
+def compute_distortion(circumstances: Circumstances) -> FloatArray:
     """(2, 2): map offsets of the ground (x east, y north) to offsets in the resampled picture."""
     azimuth, short = circumstances.stretch_azimuth, 1.0 - circumstances.stretch
     east, north = math.sin(azimuth), math.cos(azimuth)
@@ -165,7 +165,9 @@ def distortion(circumstances: Circumstances) -> FloatArray:
         [1.0 - short * east * east, -short * east * north],
         [-short * east * north, 1.0 - short * north * north],
     ]
-    turned: FloatArray = _similarity(circumstances.roll, circumstances.scale) @ np.array(squeeze)
+    turned: FloatArray = _make_similarity(circumstances.roll, circumstances.scale) @ np.array(
+        squeeze
+    )
     return turned
 
 
@@ -188,7 +190,7 @@ def run_trial(
     if not levels:
         raise ValueError("a trial needs at least one level")
     rng = np.random.default_rng(list(seed))
-    (a, b), (c, d) = distortion(circumstances).tolist()
+    (a, b), (c, d) = compute_distortion(circumstances).tolist()
     # written out: the library takes ten times as long for so small a matrix
     ground_from_picture = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
     picture_from_ground = np.eye(2)  # as estimated so far
@@ -201,20 +203,20 @@ def run_trial(
     for number in range(len(levels) - 1, -1, -1):
         level, posting_m = levels[number], levels[number].posting_m
         coarsest = number == len(levels) - 1
-        template = _centre(templates[number], search.template_nodes)
+        template = _cut_centre(templates[number], search.template_nodes)
         room = search.coarse_nodes if coarsest else search.fine_nodes
         window = search.template_nodes + 2 * room
         offset = ground_from_picture @ (position - circumstances.shift_m) / posting_m
         truth_from_ground = level.finer * _FLIP
         offset = truth_from_ground @ offset
         truth_from_picture = truth_from_ground @ ground_from_picture @ picture_from_ground @ _FLIP
-        side = side_under(truth_from_picture, offset, window, level.truth.shape[0])
-        truth, finer_m = _centre(level.truth, side), posting_m / level.finer
+        side = compute_side(truth_from_picture, offset, window, level.truth.shape[0])
+        truth, finer_m = _cut_centre(level.truth, side), posting_m / level.finer
         seen = render_map_quickly(
             truth, finer_m, sun, view_local=view, radius_m=radius_m, outer=around[number]
         )
         origin, averaging = offset + (side - 1) / 2.0, round(posting_m / levels[0].posting_m)
-        picture = picture_of(
+        picture = simulate_picture(
             seen, truth_from_picture, origin, window, averaging, circumstances.snr, rng, level.finer
         )
         step_m = posting_m
@@ -227,7 +229,7 @@ def run_trial(
             match, roll, scale = match_similarity(
                 template, picture, search.rolls, search.scales, halved=True
             )
-            picture_from_ground = _similarity(roll, scale)
+            picture_from_ground = _make_similarity(roll, scale)
             step = np.array([match.dx, -match.dy])
         else:
             match = match_ncc(template, picture)
@@ -249,17 +251,17 @@ def run_trial(
 _FLIP = np.diag([1.0, -1.0])
 
 
-def _similarity(roll: float, scale: float) -> FloatArray:
+def _make_similarity(roll: float, scale: float) -> FloatArray:
     cosine, sine = scale * math.cos(roll), scale * math.sin(roll)
     return np.array([[cosine, -sine], [sine, cosine]])
 
 
-def _centre(grid: Float32Array, size: int) -> Float32Array:
+def _cut_centre(grid: Float32Array, size: int) -> Float32Array:
     first = (grid.shape[0] - size) // 2
     return grid[first : first + size, first : first + size]
 
 
-def picture_of(
+def simulate_picture(
     brightness: Float32Array,
     ground_from_picture: FloatArray,
     origin: FloatArray,
@@ -286,21 +288,21 @@ def picture_of(
     matrix = np.array([[a, b, x - (a + b) * half], [c, d, y - (c + d) * half]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     sampled = cv2.warpAffine(blurred, matrix, (size, size), flags=flags, borderValue=float("nan"))
-    noise = _noise(size, rng)
-    return exposed(np.asarray(sampled, dtype=np.float32), noise, 1.0 / (snr * averaging))
+    noise = _draw_noise(size, rng)
+    return scale_to_counts(np.asarray(sampled, dtype=np.float32), noise, 1.0 / (snr * averaging))
 
 
-def _noise(size: int, rng: np.random.Generator) -> Float32Array:
+def _draw_noise(size: int, rng: np.random.Generator) -> Float32Array:
     """Noise of unit variance (size, size): what one trial has says nothing of another's.
 
     Drawing it anew takes ten times as long.
     """
     row, col = rng.integers(0, NOISE_ROOM, 2, endpoint=True).tolist()
-    return np.ascontiguousarray(_noise_about(size)[row : row + size, col : col + size])
+    return np.ascontiguousarray(_draw_wide_noise(size)[row : row + size, col : col + size])
 
 
 @lru_cache(maxsize=8)
-def _noise_about(size: int) -> Float32Array:
+def _draw_wide_noise(size: int) -> Float32Array:
     shape = size + NOISE_ROOM, size + NOISE_ROOM
     return np.random.default_rng(NOISE_SEED).standard_normal(shape, dtype=np.float32)
 
@@ -328,7 +330,9 @@ def _insert(top: Float32Array, value: np.float32) -> None:
 
 
 @kernel
-def exposed(sampled: Float32Array, noise: Float32Array, relative_noise: float) -> Float32Array:
+def scale_to_counts(
+    sampled: Float32Array, noise: Float32Array, relative_noise: float
+) -> Float32Array:
     """Whole counts (rows, cols) of brightness with noise, NaN where the brightness is.
 
     noise           (rows, cols)  of unit variance
@@ -366,10 +370,12 @@ def exposed(sampled: Float32Array, noise: Float32Array, relative_noise: float) -
     return out
 
 
-def side_under(ground_from_picture: FloatArray, offset: FloatArray, size: int, largest: int) -> int:
+def compute_side(
+    ground_from_picture: FloatArray, offset: FloatArray, size: int, largest: int
+) -> int:
     """Nodes a side, even, of the centred part of the truth grid that a picture needs.
 
-    ground_from_picture, size  as `picture_of` takes them
+    ground_from_picture, size  as `simulate_picture` takes them
     offset   (2,)  truth nodes from the grid's centre to the picture's
     largest  side of the whole, even
     """

@@ -20,7 +20,7 @@ import zstandard
 
 from catalog.arrays import ByteArray, Float32Array, Int16Array
 from catalog.errors import DataError
-from catalog.store.records import checksum
+from catalog.store.records import compute_checksum
 from catalog.store.schema import NO_DATA_COUNT
 
 MAX_COUNT = 32767
@@ -54,7 +54,9 @@ class Encoded:
     data: bytes
 
     @classmethod
-    def of_row(cls, size: object, step: object, offset: object, data: object) -> "Encoded | None":
+    def parse_row(
+        cls, size: object, step: object, offset: object, data: object
+    ) -> "Encoded | None":
         """The grid of a row's columns; None where they are not of their types: damaged."""
         if not (isinstance(size, int) and 0 < size < 2**31 and isinstance(data, bytes)):
             return None
@@ -66,7 +68,7 @@ class Encoded:
 
     def columns(self, header: bytes) -> tuple[int, float, float, int, bytes]:
         """The end of a row: size, step, offset, checksum and data."""
-        return self.size, self.step, self.offset, checksum(header, self.data), self.data
+        return self.size, self.step, self.offset, compute_checksum(header, self.data), self.data
 
 
 def quantise(heights: Float32Array, step: float) -> tuple[Int16Array, float, float]:
@@ -111,7 +113,7 @@ def encode(heights: Float32Array, step: float) -> tuple[Encoded, Int16Array]:
     return Encoded(counts.shape[0], step, offset, encode_counts(counts)), counts
 
 
-def _planes(data: bytes, size: int) -> ByteArray:
+def _decode_planes(data: bytes, size: int) -> ByteArray:
     if not 0 < size <= MAX_SIZE:
         raise DataError(f"a patch of {size} nodes a side; wanted 1..{MAX_SIZE}")
     expected = 2 * size * size
@@ -132,7 +134,7 @@ def decode_counts(data: bytes, size: int) -> Int16Array:
     from catalog.store.residuals import counts_from_planes
 
     counts = np.empty((size, size), dtype=np.int16)
-    counts_from_planes(_planes(data, size), counts)
+    counts_from_planes(_decode_planes(data, size), counts)
     return counts
 
 
@@ -140,7 +142,7 @@ def decode(encoded: Encoded) -> Float32Array:
     """Heights (size, size), float32, NaN for no data. Raises DataError when they do not unpack."""
     from catalog.store.residuals import heights_from_planes
 
-    planes = _planes(encoded.data, encoded.size)
+    planes = _decode_planes(encoded.data, encoded.size)
     shape = (encoded.size, encoded.size)
     heights = np.empty(shape, dtype=np.float32)
     counts = np.empty(shape, dtype=np.int16)

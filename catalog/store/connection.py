@@ -18,7 +18,7 @@ from urllib.parse import quote
 
 from catalog.errors import DATABASE_ERRORS, DataError
 from catalog.inputs import check_input
-from catalog.store.geopackage import table_columns
+from catalog.store.geopackage import list_columns
 from catalog.store.manifest import COUNTER_DIGITS, OPEN_SEAL, SEAL, CatalogMeta, meta_from_rows
 from catalog.store.schema import FORMER_POINT_COLUMNS, META, PAGE_SIZE, POINT_COLUMNS, POINTS
 
@@ -56,7 +56,7 @@ def connect(path: Path) -> sqlite3.Connection:
         ) from None
     if len(header) < 100 or not header.startswith(SQLITE_MAGIC):
         raise DataError(f"{path}: is not an optnav catalog; make one with `optnav build`")
-    log = live_log(path)
+    log = find_live_log(path)
     if log is None:
         _check_length(path, header, size)
     # Without a log beside it nobody is writing, and `immutable` spares locks and works on
@@ -119,11 +119,11 @@ def is_catalog_file(path: Path) -> bool:
 
 def is_points_file(path: Path) -> bool:
     """Whether a file is an exported layer of ours: our points without a catalog around them."""
-    ours = table_columns(path, POINTS) in (POINT_COLUMNS, FORMER_POINT_COLUMNS)
-    return ours and not table_columns(path, META)
+    ours = list_columns(path, POINTS) in (POINT_COLUMNS, FORMER_POINT_COLUMNS)
+    return ours and not list_columns(path, META)
 
 
-def live_log(path: Path) -> Path | None:
+def find_live_log(path: Path) -> Path | None:
     """The log in which another program has changes to the file, beside it; None for none."""
     for suffix in ("-wal", "-journal"):
         log = path.with_name(path.name + suffix)
@@ -143,33 +143,33 @@ def _check_length(path: Path, header: bytes, size: int) -> None:
         )
 
 
-def put_seal(path: Path) -> None:
+def write_seal(path: Path) -> None:
     """Write the seal into a closed catalog file whose manifest has OPEN_SEAL in its place."""
     with path.open("r+b") as file:
         offset = _find(file, f"{SEAL}{OPEN_SEAL}".encode("ascii"))
         if offset < 0:
             raise ValueError(f"{path}: its manifest has no place for a seal")
         offset += len(SEAL)
-        seal = f"{_counters(file)[0]}:{_hash(file, offset)}".encode("ascii")
+        seal = f"{_read_counters(file)[0]}:{_hash(file, offset)}".encode("ascii")
         file.seek(offset)
         file.write(seal)
 
 
-def seal_state(path: Path, seal: str) -> SealState:
+def check_seal(path: Path, seal: str) -> SealState:
     """Compare a closed file with the seal that its manifest states; "" is no seal."""
     if not seal:
         return SealState.NONE
     with path.open("rb") as file:
         offset = _find(file, f"{SEAL}{seal}".encode("utf-8", "surrogatepass"))
         intact = offset >= 0 and _hash(file, offset + len(SEAL)) == seal[COUNTER_DIGITS + 1 :]
-        counter, again = _counters(file)
+        counter, again = _read_counters(file)
     moved = counter != seal[:COUNTER_DIGITS]
     if intact and not moved:
         return SealState.WHOLE
     return SealState.OPENED if moved and not intact and counter == again else SealState.BROKEN
 
 
-def _counters(file: BinaryIO) -> tuple[str, str]:
+def _read_counters(file: BinaryIO) -> tuple[str, str]:
     """Both change counters of the header, hexadecimal."""
     file.seek(0)
     header = file.read(COUNTER_AGAIN.stop)

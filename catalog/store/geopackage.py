@@ -136,7 +136,7 @@ class FeatureLayer:
                 boxes.append(box)
                 places.append((row[0], west, east, south, north))
         db.executemany(f"INSERT INTO {self.rtree} VALUES (?,?,?,?,?)", places)
-        for statement in filter(str.strip, self._triggers().split("END;\n")):
+        for statement in filter(str.strip, self._format_triggers().split("END;\n")):
             db.execute(statement + " END")
         if not boxes:
             return None
@@ -147,7 +147,7 @@ class FeatureLayer:
         self, db: sqlite3.Connection, srs_id: int, extent: Box | None, changed: str
     ) -> None:
         """Name the layer, and its style, in the GeoPackage's own tables."""
-        _insert(db, "gpkg_contents", [self._contents_row(srs_id, extent, changed)])
+        _insert(db, "gpkg_contents", [self._make_contents_row(srs_id, extent, changed)])
         for table, rows in self.service_rows(srs_id).items():
             _insert(db, table, rows)
         named = "", "", self.name, "geom", self.name, self.style, "", 1, self.description, "", None
@@ -164,11 +164,13 @@ class FeatureLayer:
             "gpkg_extensions": [(self.name, "geom", "gpkg_rtree_index", link, "write-only")],
         }
 
-    def _contents_row(self, srs_id: int, extent: Box | None, changed: str) -> tuple[object, ...]:
+    def _make_contents_row(
+        self, srs_id: int, extent: Box | None, changed: str
+    ) -> tuple[object, ...]:
         box = extent or (None,) * 4
         return self.name, "features", self.name, self.description, changed, *box, srs_id
 
-    def _triggers(self) -> str:
+    def _format_triggers(self) -> str:
         return _TRIGGERS.format(
             tree=self.rtree,
             table=self.name,
@@ -181,7 +183,7 @@ class FeatureLayer:
 
 
 @contextmanager
-def new_geopackage(path: Path) -> Iterator[sqlite3.Connection]:
+def open_new_geopackage(path: Path) -> Iterator[sqlite3.Connection]:
     """A new file with a GeoPackage's own tables, to be filled; nobody else reads it yet."""
     with closing(sqlite3.connect(path, isolation_level=None)) as db:
         db.executescript("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")
@@ -207,7 +209,7 @@ def describe_geopackage(
 
     tables  "NAME: description"
     """
-    _insert(db, "gpkg_spatial_ref_sys", system_rows(body, radius_m))
+    _insert(db, "gpkg_spatial_ref_sys", list_systems(body, radius_m))
     plain = [("layer_styles", "Styles of the layers, for QGIS")]
     plain += [(name, text.strip()) for name, _, text in (table.partition(":") for table in tables)]
     nowhere = (None,) * 5
@@ -215,7 +217,7 @@ def describe_geopackage(
     _insert(db, "gpkg_contents", rows)
 
 
-def table_columns(path: Path, table: str) -> tuple[str, ...]:
+def list_columns(path: Path, table: str) -> tuple[str, ...]:
     """Columns of a table of a file; none where it has no such table, or is no SQLite database."""
     uri = f"file:{quote(os.fsencode(path.absolute()))}?mode=ro&immutable=1"
     try:
@@ -226,7 +228,7 @@ def table_columns(path: Path, table: str) -> tuple[str, ...]:
     return tuple(column for (column,) in rows)
 
 
-def srs_of(body: str, radius_m: float) -> tuple[int, str, str, int, str]:
+def define_srs(body: str, radius_m: float) -> tuple[int, str, str, int, str]:
     """srs_id, name, organization, its code and WKT of planetocentric degrees on a body's sphere."""
     radius = f"{radius_m:.12g}"
     if body == "moon" and radius_m == MOON_RADIUS_M:
@@ -244,10 +246,10 @@ def srs_of(body: str, radius_m: float) -> tuple[int, str, str, int, str]:
     return srs_id, name, organization, code, wkt
 
 
-def spheroid_srs_of(
+def define_spheroid_srs(
     body: str, radii_m: tuple[float, float, float]
 ) -> tuple[int, str, str, int, str]:
-    """Return the values of `srs_of` for geodetic degrees on a spheroid; EPSG:4326 for WGS 84."""
+    """Return what `define_srs` does, of geodetic degrees on a spheroid; EPSG:4326 for WGS 84."""
     a, _, c = radii_m
     inverse = a / (a - c)
     if body == "earth" and (a, round(inverse, 6)) == WGS84:
@@ -262,13 +264,13 @@ def spheroid_srs_of(
 
 
 def add_system(db: sqlite3.Connection, system: tuple[int, str, str, int, str]) -> None:
-    """Add a coordinate system of `spheroid_srs_of` that the file does not have yet."""
+    """Add a coordinate system of `define_spheroid_srs` that the file does not have yet."""
     srs_id, name, organization, code, wkt = system
     row = name, srs_id, organization, code, wkt, "geodetic latitude, east longitude"
     db.execute("INSERT OR IGNORE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", row)
 
 
-def stereographic_wkt(
+def format_stereographic_wkt(
     body: str, centre: str, radius_m: float, centre_deg: tuple[float, float]
 ) -> str:
     """WKT of the stereographic projection of a body's sphere, metres east and north.
@@ -277,17 +279,18 @@ def stereographic_wkt(
     centre_deg  latitude and longitude
     """
     lat, lon = centre_deg
+    wkt = define_srs(body, radius_m)[4]
     return (
-        f'PROJCS["{body.capitalize()}, stereographic about {centre}",{srs_of(body, radius_m)[4]},'
+        f'PROJCS["{body.capitalize()}, stereographic about {centre}",{wkt},'
         f'PROJECTION["Stereographic"],PARAMETER["latitude_of_origin",{lat!r}],'
         f'PARAMETER["central_meridian",{lon!r}],PARAMETER["scale_factor",1],'
         f'PARAMETER["false_easting",0],PARAMETER["false_northing",0],{MAP_AXES}'
     )
 
 
-def system_rows(body: str, radius_m: float) -> list[tuple[object, ...]]:
+def list_systems(body: str, radius_m: float) -> list[tuple[object, ...]]:
     """Rows of gpkg_spatial_ref_sys: what every GeoPackage has, and the body's own."""
-    srs_id, name, organization, code, wkt = srs_of(body, radius_m)
+    srs_id, name, organization, code, wkt = define_srs(body, radius_m)
     # the specification wants the first three in every GeoPackage
     return [
         ("Undefined Cartesian", -1, "NONE", -1, "undefined", "undefined Cartesian system"),
@@ -297,12 +300,12 @@ def system_rows(body: str, radius_m: float) -> list[tuple[object, ...]]:
     ]
 
 
-def point_geometry(lon_deg: float, lat_deg: float, srs_id: int) -> bytes:
+def encode_point(lon_deg: float, lat_deg: float, srs_id: int) -> bytes:
     """GeoPackage geometry of a point: header without envelope, then little-endian WKB."""
     return _POINT.pack(b"GP", 0, 1, srs_id, 1, 1, lon_deg, lat_deg)
 
 
-def parts_geometry(kind: Kind, parts: Sequence[FloatArray], srs_id: int) -> bytes | None:
+def encode_parts(kind: Kind, parts: Sequence[FloatArray], srs_id: int) -> bytes | None:
     """Geometry of lines or of polygons without holes from their (n, 2) lon, lat; None for none.
 
     The rings of polygons are closed: their last point is the first.
@@ -337,7 +340,7 @@ class Rule(NamedTuple):
     size: float
 
 
-def style_qml(*rules: Rule) -> str:
+def format_style(*rules: Rule) -> str:
     """The style of a layer whose features are drawn by the first rule that they fit."""
     root = Element("qgis", version="3.22.0", styleCategories="Symbology")
     renderer = SubElement(root, "renderer-v2", type="RuleRenderer", symbollevels="0")
@@ -351,14 +354,14 @@ def style_qml(*rules: Rule) -> str:
         symbol = SubElement(symbols, "symbol", name=str(number), type=kind, alpha="1")
         layer = SubElement(symbol, "layer", {"class": drawn_by, "enabled": "1", "pass": "0"})
         options = SubElement(layer, "Option", type="Map")
-        for name, value in _options(rule).items():
+        for name, value in _list_options(rule).items():
             SubElement(options, "Option", name=name, type="QString", value=value)
             SubElement(layer, "prop", k=name, v=value)  # what QGIS read before 3.26
     ElementTree.indent(root)
     return f"<!DOCTYPE qgis>\n{ElementTree.tostring(root, encoding='unicode')}\n"
 
 
-def _options(rule: Rule) -> dict[str, str]:
+def _list_options(rule: Rule) -> dict[str, str]:
     """The settings of a symbol's layer as QGIS names them."""
     colour, size = ",".join(map(str, (*rule.colour, 255))), f"{rule.size:g}"
     if rule.shape == "line":

@@ -19,7 +19,7 @@ CELL_SLACK_DEG = 1e-6
 
 
 @kernel
-def _meridian_bound(degrees: float, cos_lat: float) -> float:
+def _bound_meridian(degrees: float, cos_lat: float) -> float:
     """Least squared chord from a point to the half of the sphere beyond a meridian."""
     degrees -= CELL_SLACK_DEG
     if degrees <= 0.0:
@@ -30,7 +30,7 @@ def _meridian_bound(degrees: float, cos_lat: float) -> float:
 
 
 @kernel
-def _parallel_bound(degrees: float) -> float:
+def _bound_parallel(degrees: float) -> float:
     """Least squared chord across a difference of latitude."""
     degrees -= CELL_SLACK_DEG
     if degrees <= 0.0:
@@ -40,7 +40,7 @@ def _parallel_bound(degrees: float) -> float:
 
 
 @kernel
-def _nearest_row(
+def _find_nearest_row(
     lat_deg: float,
     lon_deg: float,
     step_deg: float,
@@ -65,7 +65,7 @@ def _nearest_row(
             continue
         band = home_band + distance if up else home_band - distance
         gap = band * step_deg - 90.0 - lat_deg if up else lat_deg + 90.0 - (band + 1) * step_deg
-        if band < 0 or band >= bands or (turn > 0 and _parallel_bound(gap) > best):
+        if band < 0 or band >= bands or (turn > 0 and _bound_parallel(gap) > best):
             if up:
                 going_up = False
             else:
@@ -93,7 +93,7 @@ def _nearest_row(
                     steps = (home - column[row]) % count
                     aside = into + (steps - 1) * width
                 # the other side comes first to what lies beyond 180 degrees
-                if steps > 0 and (aside >= 180.0 or _meridian_bound(aside, cos_lat) > best):
+                if steps > 0 and (aside >= 180.0 or _bound_meridian(aside, cos_lat) > best):
                     break
                 dx = direction[row, 0] - x
                 dy = direction[row, 1] - y
@@ -118,6 +118,6 @@ class CellIndex:
         bands = float(grid.step_deg), grid.cells_in_band, first_row
         self._tables = *bands, column, np.ascontiguousarray(direction)
 
-    def nearest_row(self, lat_deg: float, lon_deg: float) -> int:
+    def find_nearest_row(self, lat_deg: float, lon_deg: float) -> int:
         """Row of the nearest point, -1 when there is none; lat in [-90, 90], lon in [-180, 180)."""
-        return int(_nearest_row(lat_deg, lon_deg, *self._tables))
+        return int(_find_nearest_row(lat_deg, lon_deg, *self._tables))

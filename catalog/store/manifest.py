@@ -86,7 +86,7 @@ class PlanesMeta:
     model_posting_m: float
     verticals_deg: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
-    def rounded(self) -> dict[str, Any]:
+    def round_values(self) -> dict[str, Any]:
         """Return the entry as it is written."""
         radii_m = [round(float(radius), 3) for radius in self.radii_m]
         values = {"radii_m": radii_m, "model_posting_m": round(float(self.model_posting_m), 3)}
@@ -95,11 +95,11 @@ class PlanesMeta:
         verticals = {str(number): list(two) for number, two in sorted(self.verticals_deg.items())}
         return values | {"verticals_deg": verticals}
 
-    def with_vertical(self, point: ControlPoint) -> ControlPoint:
+    def add_vertical(self, point: ControlPoint) -> ControlPoint:
         """A point with the normal of its plane, where that is its own."""
         return replace(point, vertical_deg=self.verticals_deg.get(point.id))
 
-    def verticals(self, ids: IntArray, xyz_m: FloatArray) -> FloatArray:
+    def compute_verticals(self, ids: IntArray, xyz_m: FloatArray) -> FloatArray:
         """Unit normals (n, 3) of the planes of points; their places (n, 3) m."""
         if self.verticals_deg:
             lat, lon = np.radians([self.verticals_deg[number] for number in ids.tolist()]).T
@@ -172,7 +172,7 @@ class CatalogMeta:
             return point.tangent_plane(self.planes.radii_m)
         return point.projection(self.radius_m)
 
-    def error_of(self, point_source: str) -> TerrainErrorModel | None:
+    def find_error(self, point_source: str) -> TerrainErrorModel | None:
         """The stated error of the terrain model that counts most at points of a source."""
         named = (n for n in self.terrain_errors if f"{point_source} + ".startswith(f"{n} + "))
         return self.terrain_errors.get(max(named, key=len, default=""))
@@ -183,19 +183,19 @@ class CatalogMeta:
         return self.radius_m if self.planes is None else FLAT_RADIUS_M
 
 
-def content_text(meta: CatalogMeta) -> str:
+def format_content(meta: CatalogMeta) -> str:
     """The part of the manifest that the content digest covers, as canonical JSON."""
     content: dict[str, object] = {
         "body": meta.body,
-        **_numbers(meta),
-        "projection": _projection_words(meta),
+        **_round_numbers(meta),
+        "projection": _describe_projection(meta),
         "point_sources": list(meta.point_sources),
         "count": meta.count,
     }
     if meta.relief is not None:
         content["relief"] = asdict(meta.relief)
     if meta.planes is not None:
-        content["planes"] = meta.planes.rounded()
+        content["planes"] = meta.planes.round_values()
     return json.dumps(content, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
 
 
@@ -205,8 +205,8 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
         "format": FORMAT,
         "format_version": str(meta.format_version),
         "body": meta.body,
-        **{name: repr(number) for name, number in _numbers(meta).items()},
-        "projection": _projection_words(meta),
+        **{name: repr(number) for name, number in _round_numbers(meta).items()},
+        "projection": _describe_projection(meta),
         "sources": json.dumps(dict(meta.sources), sort_keys=True, ensure_ascii=False),
         "point_sources": json.dumps(list(meta.point_sources), ensure_ascii=False),
         "config": meta.config,
@@ -220,7 +220,7 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
         relief = asdict(meta.relief)
         rows["relief"] = json.dumps(relief, sort_keys=True, ensure_ascii=False)
     if meta.planes is not None:
-        rows["planes"] = json.dumps(meta.planes.rounded(), sort_keys=True)
+        rows["planes"] = json.dumps(meta.planes.round_values(), sort_keys=True)
         if meta.planes.verticals_deg:
             rows["format_version"] = str(FORMAT_VERSION)
     if meta.terrain_errors:
@@ -228,23 +228,23 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
     if meta.comparison is not None:
         rows["comparison"] = msgspec.json.encode(meta.comparison, order="sorted").decode()
     rows = dict(sorted(rows.items()))
-    return {**rows, CHECKSUM: _checksum(rows), SEAL: OPEN_SEAL}
+    return {**rows, CHECKSUM: _hash_rows(rows), SEAL: OPEN_SEAL}
 
 
-def _projection_words(meta: CatalogMeta) -> str:
+def _describe_projection(meta: CatalogMeta) -> str:
     if meta.planes is None:
         return PROJECTION
     return OWN_PLANES if meta.planes.verticals_deg else PLANES
 
 
-def _numbers(meta: CatalogMeta) -> dict[str, float | int]:
+def _round_numbers(meta: CatalogMeta) -> dict[str, float | int]:
     """Numbers of the manifest as they are written."""
     decimals = {"radius_m": 3, "cell_deg": 9, "posting_m": 6, "height_step_m": 9}
     rounded = {name: round(float(getattr(meta, name)), at) for name, at in decimals.items()}
     return {**rounded, "levels": int(meta.levels), "size": int(meta.size)}
 
 
-def _checksum(texts: Mapping[str, str]) -> str:
+def _hash_rows(texts: Mapping[str, str]) -> str:
     rows = sorted((k, v) for k, v in texts.items() if k not in (CHECKSUM, SEAL))
     text = "".join(f"{key}\n{value}\n" for key, value in rows)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
@@ -265,7 +265,7 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
             f"{where}: is of catalog format {version}; this optnav reads up to {FORMAT_VERSION}; "
             "install a newer optnav"
         )
-    if texts.get(CHECKSUM) != _checksum(texts):
+    if texts.get(CHECKSUM) != _hash_rows(texts):
         raise DataError(
             f"{where}: the manifest (table optnav_meta) does not fit its checksum; the catalog is "
             "damaged or was edited: restore it or build it again"
@@ -290,7 +290,7 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
         )
     except (KeyError, ValueError, msgspec.MsgspecError) as error:
         raise DataError(f"{where}: the manifest (table optnav_meta) lacks {error}") from None
-    for name, value in _out_of_range(meta):
+    for name, value in _find_out_of_range(meta):
         raise DataError(
             f"{where}: the manifest (table optnav_meta) says {name} = {value}, which no catalog "
             "has; it was edited: restore it or build it again"
@@ -298,7 +298,7 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
     return meta
 
 
-def _out_of_range(meta: CatalogMeta) -> Iterator[tuple[str, object]]:
+def _find_out_of_range(meta: CatalogMeta) -> Iterator[tuple[str, object]]:
     """Name and value of what is beyond what the format can hold: sizes bound memory."""
     numbers: list[tuple[str, float, float, float]] = [
         (name, getattr(meta, name), *limits) for name, limits in LIMITS.items()

@@ -24,9 +24,9 @@ from catalog.arrays import Int16Array
 from catalog.control_point import ControlPoint, Patch
 from catalog.errors import DataError
 from catalog.store.codec import Encoded, decode, encode
-from catalog.store.manifest import CatalogMeta, content_text
-from catalog.store.records import checksum, rounded_point
-from catalog.store.schema import HEIGHT_LAYER, patch_key
+from catalog.store.manifest import CatalogMeta, format_content
+from catalog.store.records import compute_checksum, round_point
+from catalog.store.schema import HEIGHT_LAYER, compute_patch_key
 
 PatchRow = tuple[int, int, int, int, float, int, float, float, int, bytes]  # as PATCH_COLUMNS
 
@@ -58,16 +58,16 @@ def prepare_point(
     point: ControlPoint, patches: Sequence[Patch], steps_m: Sequence[float]
 ) -> PreparedPoint:
     """Round a point's numbers and compress its patches, finest first, each with its height step."""
-    rounded = rounded_point(point)
+    rounded = round_point(point)
     rows, contents = [], []
     for level, (patch, step) in enumerate(zip(patches, steps_m, strict=True)):
         encoded, counts = encode(patch.heights_m, step)
         posting = round(float(patch.posting_m), POSTING_DECIMALS)
-        header = patch_header(rounded.id, level, posting, encoded)
-        key = patch_key(rounded.id, HEIGHT_LAYER, level)
+        header = pack_header(rounded.id, level, posting, encoded)
+        key = compute_patch_key(rounded.id, HEIGHT_LAYER, level)
         rows.append((key, rounded.id, HEIGHT_LAYER, level, posting, *encoded.columns(header)))
         contents.append((header, counts))
-    return PreparedPoint(rounded, tuple(rows), patches_digest(contents))
+    return PreparedPoint(rounded, tuple(rows), hash_patches(contents))
 
 
 def check_patch(row: Sequence[object], level: int, meta: CatalogMeta) -> None:
@@ -85,12 +85,12 @@ def check_patch(row: Sequence[object], level: int, meta: CatalogMeta) -> None:
 def stored_patch_from_row(row: Sequence[object], point_id: int, level: int) -> StoredPatch:
     """A row (columns as PATCH_COLUMNS) as it is. Raises DataError unless its checksum fits."""
     *keys, posting, size, step, offset, stored, data = row
-    wanted = [patch_key(point_id, HEIGHT_LAYER, level), point_id, HEIGHT_LAYER, level]
-    encoded = Encoded.of_row(size, step, offset, data)
+    wanted = [compute_patch_key(point_id, HEIGHT_LAYER, level), point_id, HEIGHT_LAYER, level]
+    encoded = Encoded.parse_row(size, step, offset, data)
     if keys != wanted or encoded is None or not isinstance(posting, float):
         raise DataError("row of optnav_patches is damaged")
-    header = patch_header(point_id, level, posting, encoded)
-    if stored != checksum(header, encoded.data):
+    header = pack_header(point_id, level, posting, encoded)
+    if stored != compute_checksum(header, encoded.data):
         raise DataError("row of optnav_patches does not fit its checksum")
     return StoredPatch(posting, encoded, header)
 
@@ -101,13 +101,13 @@ def patch_from_row(row: Sequence[object], point_id: int, level: int) -> Patch:
     return Patch(patch.posting_m, decode(patch.encoded))
 
 
-def patch_header(point_id: int, level: int, posting_m: float, encoded: Encoded) -> bytes:
+def pack_header(point_id: int, level: int, posting_m: float, encoded: Encoded) -> bytes:
     """Pack the part of a patch, besides its data, that checksum and digest cover."""
     numbers = encoded.size, posting_m, encoded.step, encoded.offset
     return _HEADER.pack(point_id, HEIGHT_LAYER, level, *numbers)
 
 
-def patches_digest(patches: Iterable[tuple[bytes, Int16Array]]) -> bytes:
+def hash_patches(patches: Iterable[tuple[bytes, Int16Array]]) -> bytes:
     """Digest (32 bytes) of the headers and counts of some grids, such as one point's patches."""
     digest = hashlib.sha256()
     for header, counts in patches:
@@ -116,14 +116,14 @@ def patches_digest(patches: Iterable[tuple[bytes, Int16Array]]) -> bytes:
     return digest.digest()
 
 
-def point_digest(record: bytes, patches: bytes) -> bytes:
+def hash_point(record: bytes, patches: bytes) -> bytes:
     """Digest (32 bytes) of a point's record and its patches digest."""
     return hashlib.sha256(record + patches).digest()
 
 
-def catalog_digest(meta: CatalogMeta, points: bytes | bytearray) -> str:
+def hash_catalog(meta: CatalogMeta, points: bytes | bytearray) -> str:
     """The catalog's digest, of the digests of its points in id order (1.3 MB for 41 252 of them).
 
     `meta.count` and `meta.point_sources` must be filled in.
     """
-    return hashlib.sha256(content_text(meta).encode() + b"\n" + points).hexdigest()
+    return hashlib.sha256(format_content(meta).encode() + b"\n" + points).hexdigest()

@@ -18,7 +18,7 @@ from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import wrap_longitude_deg, xyz_from_latlon
 from catalog.store.comparison import read_shifts
 from catalog.store.connection import connect, read_meta
-from catalog.store.geopackage import srs_of
+from catalog.store.geopackage import define_srs
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import (
     StoredPatch,
@@ -28,8 +28,8 @@ from catalog.store.patches import (
 )
 from catalog.store.records import (
     Record,
-    checksum,
-    impossible,
+    compute_checksum,
+    find_impossible,
     point_from_record,
     record_from_row,
     record_type,
@@ -40,7 +40,7 @@ from catalog.store.schema import (
     PATCHES,
     POINTS,
     RECORDS,
-    patch_key,
+    compute_patch_key,
     select_points,
 )
 
@@ -158,7 +158,7 @@ class Catalog:
                 f"{self.path}: {error}; run `optnav catalog verify`, restore it or build it again"
             ) from None
 
-    def row_of(self, point_id: int) -> int:
+    def find_row(self, point_id: int) -> int:
         """Row of a point in the arrays. Raises DataError for an id that is not there."""
         row = int(self.ids.searchsorted(point_id))
         if row >= len(self.ids) or self.ids[row] != point_id:
@@ -169,12 +169,12 @@ class Catalog:
 
     def point(self, point_id: int) -> ControlPoint:
         """A point with its certificate. Raises DataError for an id that is not there."""
-        stored = self._point(self.records[self.row_of(point_id)])
+        stored = self._point(self.records[self.find_row(point_id)])
         return replace(stored, comparison=self.shifts.get(point_id)) if self.shifts else stored
 
     def _point(self, record: Record) -> ControlPoint:
         point = point_from_record(record, self.meta.point_sources)
-        return point if self.meta.planes is None else self.meta.planes.with_vertical(point)
+        return point if self.meta.planes is None else self.meta.planes.add_vertical(point)
 
     @cached_property
     def shifts(self) -> dict[int, ComparisonShift]:
@@ -201,7 +201,7 @@ class Catalog:
         if not (abs(lat_deg) <= 90.0 and math.isfinite(lon_deg)):
             raise ValueError(f"latitude {lat_deg}, longitude {lon_deg}: not a place")
         lon = (lon_deg + 180.0) % 360.0 - 180.0
-        row = self._index.nearest_row(lat_deg, lon if lon < 180.0 else -180.0)
+        row = self._index.find_nearest_row(lat_deg, lon if lon < 180.0 else -180.0)
         if row < 0:
             raise DataError(f"{self.path}: holds no control point")
         return int(self.ids[row])
@@ -233,8 +233,8 @@ class Catalog:
     def _read_patches(
         self, point_id: int, read: Callable[[Sequence[object], int, int], T]
     ) -> tuple[T, ...]:
-        stored = int(self.records["levels"][self.row_of(point_id)])
-        first = patch_key(point_id, HEIGHT_LAYER, 0)
+        stored = int(self.records["levels"][self.find_row(point_id)])
+        first = compute_patch_key(point_id, HEIGHT_LAYER, 0)
         try:
             rows = self._db.execute(SELECT_PATCHES, (first, first + 15)).fetchall()
             if len(rows) != stored:
@@ -253,7 +253,7 @@ class Catalog:
         return Pyramid(self.point(point_id), self.patches(point_id))
 
 
-def packed_records(db: sqlite3.Connection, meta: CatalogMeta) -> RecordArray:
+def read_packed_records(db: sqlite3.Connection, meta: CatalogMeta) -> RecordArray:
     """The points from the packed table. Raises DataError when it is damaged."""
     layout = record_type(meta.levels)
     parts: list[bytes] = []
@@ -261,7 +261,7 @@ def packed_records(db: sqlite3.Connection, meta: CatalogMeta) -> RecordArray:
     try:
         rows = db.execute(f"SELECT id, count, checksum, data FROM {RECORDS} ORDER BY id")
         for number, (key, count, stored, data) in enumerate(rows):
-            intact = key == number and isinstance(data, bytes) and stored == checksum(data)
+            intact = key == number and isinstance(data, bytes) and stored == compute_checksum(data)
             if not intact or len(data) != count * layout.itemsize:
                 raise DataError(f"row {number} does not fit its checksum")
             parts.append(data)
@@ -275,12 +275,12 @@ def packed_records(db: sqlite3.Connection, meta: CatalogMeta) -> RecordArray:
     return np.frombuffer(b"".join(parts), dtype=layout)
 
 
-def feature_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -> RecordArray:
+def read_feature_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -> RecordArray:
     """The points whose row in the feature layer is whole; the others are reported.
 
     Raises DataError when the table cannot be read or no point of it is whole.
     """
-    srs_id = srs_of(meta.body, meta.radius_m)[0]
+    srs_id = define_srs(meta.body, meta.radius_m)[0]
     good: dict[int, Record] = {}
     try:
         for row in db.execute(f"{select_points(meta)} ORDER BY id"):
@@ -303,14 +303,14 @@ def read_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -> R
     Raises DataError when they cannot be listed at all.
     """
     try:
-        records = packed_records(db, meta)
+        records = read_packed_records(db, meta)
     except DataError as error:
         report(RECORDS, f"{error}; reading the feature layer instead")
-        records = feature_records(db, meta, report)
+        records = read_feature_records(db, meta, report)
     if (np.diff(records["id"]) <= 0).any():
         raise DataError("the catalog is damaged: its points are not in order; build it again")
     sources = len(meta.point_sources)
-    wrong = impossible(records, CellGrid(meta.cell_deg), meta.levels, sources, meta.radius_m)
+    wrong = find_impossible(records, CellGrid(meta.cell_deg), meta.levels, sources, meta.radius_m)
     if meta.planes is not None and meta.planes.verticals_deg:
         known = np.isin(records["id"], list(meta.planes.verticals_deg))
         for row in np.flatnonzero(~known).tolist():

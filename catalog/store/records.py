@@ -17,7 +17,7 @@ from catalog.arrays import BoolArray, RecordArray
 from catalog.control_point import SHADOW_AZIMUTHS, ComparisonShift, ControlPoint, Flag
 from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
-from catalog.store.geopackage import point_geometry
+from catalog.store.geopackage import encode_point
 from catalog.store.schema import POINT_COLUMNS
 
 T = TypeVar("T")
@@ -59,56 +59,56 @@ def record_type(levels: int) -> np.dtype[np.void]:
     return np.dtype([*SAME.items(), *integers.items(), *lists])
 
 
-def _rounded(value: float, decimals: int) -> float:
+def _round_value(value: float, decimals: int) -> float:
     value = float(value)
     # + 0.0 makes -0.0 a 0.0
     return round(value, decimals) + 0.0 if math.isfinite(value) else math.nan
 
 
-def _significant(value: float, digits: int) -> float:
+def _round_digits(value: float, digits: int) -> float:
     value = float(value)
     return float(f"{value:.{digits}g}") + 0.0 if math.isfinite(value) else math.nan
 
 
-def rounded_place(lat_deg: float, lon_deg: float) -> tuple[float, float]:
+def round_latlon(lat_deg: float, lon_deg: float) -> tuple[float, float]:
     """Latitude and longitude of a point as the catalog keeps them."""
-    lon = _rounded(lon_deg, LATLON_DECIMALS)
-    return _rounded(lat_deg, LATLON_DECIMALS), lon - 360.0 if lon >= 180.0 else lon
+    lon = _round_value(lon_deg, LATLON_DECIMALS)
+    return _round_value(lat_deg, LATLON_DECIMALS), lon - 360.0 if lon >= 180.0 else lon
 
 
-def rounded_point(point: ControlPoint) -> ControlPoint:
+def round_point(point: ControlPoint) -> ControlPoint:
     """A point with all numbers as the catalog keeps them."""
-    lat, lon = rounded_place(point.lat_deg, point.lon_deg)
+    lat, lon = round_latlon(point.lat_deg, point.lon_deg)
     return ControlPoint(
         id=int(point.id),
         lat_deg=lat,
         lon_deg=lon,
-        radius_m=_rounded(point.radius_m, RADIUS_DECIMALS),
-        localisation_nodes=_rounded(point.localisation_nodes, SCORE_DECIMALS),
-        hessian_eigenvalue=_significant(point.hessian_eigenvalue, EIGENVALUE_DIGITS),
-        recognition_rate=_rounded(point.recognition_rate, SCORE_DECIMALS),
+        radius_m=_round_value(point.radius_m, RADIUS_DECIMALS),
+        localisation_nodes=_round_value(point.localisation_nodes, SCORE_DECIMALS),
+        hessian_eigenvalue=_round_digits(point.hessian_eigenvalue, EIGENVALUE_DIGITS),
+        recognition_rate=_round_value(point.recognition_rate, SCORE_DECIMALS),
         trials=int(point.trials),
-        uniqueness=tuple(_rounded(v, SCORE_DECIMALS) for v in point.uniqueness),
-        shadow_limit_deg=tuple(_rounded(v, SHADOW_DECIMALS) for v in point.shadow_limit_deg),
+        uniqueness=tuple(_round_value(v, SCORE_DECIMALS) for v in point.uniqueness),
+        shadow_limit_deg=tuple(_round_value(v, SHADOW_DECIMALS) for v in point.shadow_limit_deg),
         usable=bool(point.usable),
         flags=Flag(int(point.flags)),
         source=point.source,
-        comparison=None if point.comparison is None else rounded_shift(point.comparison),
-        vertical_deg=rounded_vertical(point.vertical_deg),
+        comparison=None if point.comparison is None else round_shift(point.comparison),
+        vertical_deg=round_vertical(point.vertical_deg),
     )
 
 
-def rounded_shift(shift: ComparisonShift) -> ComparisonShift:
+def round_shift(shift: ComparisonShift) -> ComparisonShift:
     """A shift with numbers as the catalog keeps them."""
-    east, north = (_rounded(value, SHIFT_DECIMALS) for value in (shift.east_m, shift.north_m))
-    return ComparisonShift(east, north, int(shift.level), _rounded(shift.score, SCORE_DECIMALS))
+    east, north = (_round_value(value, SHIFT_DECIMALS) for value in (shift.east_m, shift.north_m))
+    return ComparisonShift(east, north, int(shift.level), _round_value(shift.score, SCORE_DECIMALS))
 
 
-def rounded_vertical(vertical_deg: tuple[float, float] | None) -> tuple[float, float] | None:
+def round_vertical(vertical_deg: tuple[float, float] | None) -> tuple[float, float] | None:
     """Latitude and longitude of a vertical as the catalog keeps them."""
     if vertical_deg is None:
         return None
-    lat, lon = (_rounded(angle, LATLON_DECIMALS) for angle in vertical_deg)
+    lat, lon = (_round_value(angle, LATLON_DECIMALS) for angle in vertical_deg)
     return lat, lon
 
 
@@ -130,7 +130,7 @@ def record_from_point(
     return record
 
 
-def impossible(
+def find_impossible(
     records: RecordArray, grid: CellGrid, levels: int, sources: int, radius_m: float
 ) -> dict[int, str]:
     """Which records (n,) no build can have made, by their row, and why.
@@ -141,7 +141,7 @@ def impossible(
     placed = (np.abs(records["lat_deg"]) <= 90.0) & (np.abs(records["lon_deg"]) <= 180.0)
     with np.errstate(all="ignore"):  # of numbers as they may stand there
         near = records["radius_m"] / radius_m
-        celled = _in_cells(records, grid)
+        celled = _mark_in_cells(records, grid)
     stored, source = records["levels"], records["source"]
     counts = np.stack([records["trials"], records["flags"], records["usable"]])
     faults = {
@@ -153,7 +153,7 @@ def impossible(
         "its number of levels is wrong": (stored < 0) | (stored > levels),
         "its source is not in the manifest": (source < 0) | (source >= sources),
         "its trials, flags or use are none": (counts < 0).any(axis=0) | (counts[2] > 1),
-        "its certificate is impossible": _wrong_certificates(records),
+        "its certificate is impossible": _mark_wrong_certificates(records),
     }
     reasons: dict[int, str] = {}
     for reason, wrong in faults.items():
@@ -162,7 +162,7 @@ def impossible(
     return reasons
 
 
-def _in_cells(records: RecordArray, grid: CellGrid) -> BoolArray:
+def _mark_in_cells(records: RecordArray, grid: CellGrid) -> BoolArray:
     """Whether places lie in the cells that their numbers name, but for rounding."""
     ids = records["id"]
     known = (ids >= 0) & (ids < grid.total)
@@ -177,7 +177,7 @@ def _in_cells(records: RecordArray, grid: CellGrid) -> BoolArray:
     return inside_cell
 
 
-def _wrong_certificates(records: RecordArray) -> BoolArray:
+def _mark_wrong_certificates(records: RecordArray) -> BoolArray:
     """Numbers beyond any build's; unknown ones (NaN) are possible."""
     wrong: BoolArray = np.zeros(len(records), dtype=bool)
     for name, (lowest, highest) in CERTIFICATE_LIMITS.items():
@@ -190,42 +190,44 @@ def point_from_record(record: Record, sources: Sequence[str]) -> ControlPoint:
     """The point that a record stands for."""
     return ControlPoint(
         **{name: record[name].item() for name in SAME},
-        uniqueness=tuple(_rounded(v, SCORE_DECIMALS) for v in record["uniqueness"]),
-        shadow_limit_deg=tuple(_rounded(v, SHADOW_DECIMALS) for v in record["shadow_limit_deg"]),
+        uniqueness=tuple(_round_value(v, SCORE_DECIMALS) for v in record["uniqueness"]),
+        shadow_limit_deg=tuple(
+            _round_value(v, SHADOW_DECIMALS) for v in record["shadow_limit_deg"]
+        ),
         usable=bool(record["usable"]),
         flags=Flag(int(record["flags"])),
         source=sources[int(record["source"])],
     )
 
 
-def unknown_as_none(value: float) -> float | None:
+def replace_unknown(value: float) -> float | None:
     """A number, or None where it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
-def checksum(*parts: bytes) -> int:
+def compute_checksum(*parts: bytes) -> int:
     """CRC-32 of some bytes one after the other."""
     return zlib.crc32(b"".join(parts))
 
 
 def _list_text(values: Sequence[float]) -> str:
-    return json.dumps([unknown_as_none(v) for v in values], separators=(",", ":"))
+    return json.dumps([replace_unknown(v) for v in values], separators=(",", ":"))
 
 
-def feature_row(point: ControlPoint, record: Record, srs_id: int) -> tuple[object, ...]:
+def make_feature_row(point: ControlPoint, record: Record, srs_id: int) -> tuple[object, ...]:
     """A row of `control_points` in the order of POINT_COLUMNS."""
     return (
         point.id,
-        point_geometry(point.lon_deg, point.lat_deg, srs_id),
+        encode_point(point.lon_deg, point.lat_deg, srs_id),
         point.lat_deg,
         point.lon_deg,
-        unknown_as_none(point.radius_m),
+        replace_unknown(point.radius_m),
         int(point.usable),
         int(point.flags),
         point.flags.label,
-        unknown_as_none(point.localisation_nodes),
-        unknown_as_none(point.hessian_eigenvalue),
-        unknown_as_none(point.recognition_rate),
+        replace_unknown(point.localisation_nodes),
+        replace_unknown(point.hessian_eigenvalue),
+        replace_unknown(point.recognition_rate),
         point.trials,
         min(filter(math.isfinite, point.uniqueness), default=None),
         _list_text(point.uniqueness),
@@ -233,7 +235,7 @@ def feature_row(point: ControlPoint, record: Record, srs_id: int) -> tuple[objec
         _list_text(point.shadow_limit_deg),
         point.source,
         int(record["levels"]),
-        checksum(record.tobytes(), point.source.encode()),
+        compute_checksum(record.tobytes(), point.source.encode()),
     )
 
 
@@ -246,44 +248,44 @@ def record_from_row(
     """
     cells = dict(zip(POINT_COLUMNS, row, strict=True))
     try:
-        uniqueness = json.loads(_cell(cells["uniqueness"], str, "text"))
-        shadows = json.loads(_cell(cells["shadow_limit_deg"], str, "text"))
+        uniqueness = json.loads(_check_cell(cells["uniqueness"], str, "text"))
+        shadows = json.loads(_check_cell(cells["shadow_limit_deg"], str, "text"))
         if len(uniqueness) not in (0, levels) or len(shadows) not in (0, SHADOW_AZIMUTHS):
             raise ValueError("a list of the wrong length")
-        source = _cell(cells["source"], str, "text")
+        source = _check_cell(cells["source"], str, "text")
         same: dict[str, Any] = {
-            name: _whole(cells[name]) if kind.startswith("<i") else _number(cells[name])
+            name: _check_count(cells[name]) if kind.startswith("<i") else _check_number(cells[name])
             for name, kind in SAME.items()
         }
         point = ControlPoint(
             **same,
-            uniqueness=tuple(map(_number, uniqueness)),
-            shadow_limit_deg=tuple(map(_number, shadows)),
-            usable=bool(_whole(cells["usable"])),
-            flags=Flag(_whole(cells["flags"])),
+            uniqueness=tuple(map(_check_number, uniqueness)),
+            shadow_limit_deg=tuple(map(_check_number, shadows)),
+            usable=bool(_check_count(cells["usable"])),
+            flags=Flag(_check_count(cells["flags"])),
             source=source,
         )
-        stored = _whole(cells["levels"])
+        stored = _check_count(cells["levels"])
         record = record_from_point(point, stored, sources.index(source), record_type(levels))
     except (ValueError, TypeError, OverflowError, RecursionError) as error:
         raise DataError(f"row of control_points cannot be read: {error}") from None
     # every column counts, those too that only repeat others for people's eyes
-    if tuple(row) != feature_row(point, record, srs_id):
+    if tuple(row) != make_feature_row(point, record, srs_id):
         raise DataError("row of control_points does not fit its checksum")
     return record
 
 
-def _cell(value: object, type_: type[T], wanted: str) -> T:
+def _check_cell(value: object, type_: type[T], wanted: str) -> T:
     if not isinstance(value, type_):
         raise ValueError(f"{type(value).__name__} where {wanted} should be")
     return value
 
 
-def _whole(value: object) -> int:
-    return _cell(value, int, "a whole number")
+def _check_count(value: object) -> int:
+    return _check_cell(value, int, "a whole number")
 
 
-def _number(value: object) -> float:
+def _check_number(value: object) -> float:
     if value is None or isinstance(value, int):
         return math.nan if value is None else float(value)
-    return _cell(value, float, "a number")
+    return _check_cell(value, float, "a number")

@@ -17,8 +17,8 @@ from catalog.arrays import Float32Array, Int16Array
 from catalog.errors import DataError
 from catalog.store.codec import Encoded, decode, decode_counts, encode
 from catalog.store.manifest import CatalogMeta, ReliefMeta
-from catalog.store.patches import patches_digest
-from catalog.store.records import checksum
+from catalog.store.patches import hash_patches
+from catalog.store.records import compute_checksum
 from catalog.store.schema import RELIEF, RELIEF_COLUMNS
 from catalog.terrain.relief.relief import GlobalRelief
 
@@ -66,18 +66,20 @@ def prepare_relief(relief: GlobalRelief) -> PreparedRelief:
     that they stay bounds, but for half of a mean's step.
     """
     number = relief.heights.shape[0]
-    means = [_encoded(relief.heights, tile, MEAN_STEP_M) for tile in _places(number, MEANS)]
-    stored = _assembled([encoded for encoded, _ in means], number)
+    means = [
+        _encode_tile(relief.heights, tile, MEAN_STEP_M) for tile in _iterate_tiles(number, MEANS)
+    ]
+    stored = _join_tiles([encoded for encoded, _ in means], number)
     above = np.maximum(relief.max_heights - stored - np.float32(MEAN_STEP_M / 2.0), 0.0)
     above = np.ceil(above / np.float32(TOP_STEP_M)) * np.float32(TOP_STEP_M)
-    max_heights = [_encoded(above, tile, TOP_STEP_M) for tile in _places(number, TOPS)]
+    max_heights = [_encode_tile(above, tile, TOP_STEP_M) for tile in _iterate_tiles(number, TOPS)]
     rows, contents = [], []
-    places = [*_places(number, MEANS), *_places(number, TOPS)]
+    places = [*_iterate_tiles(number, MEANS), *_iterate_tiles(number, TOPS)]
     for tile, (encoded, counts) in zip(places, means + max_heights, strict=True):
-        header = _header(tile, encoded)
+        header = _pack_header(tile, encoded)
         contents.append((header, counts))
         rows.append((tile.key, *tile, *encoded.columns(header)))
-    digest = patches_digest(contents).hex()
+    digest = hash_patches(contents).hex()
     return PreparedRelief(ReliefMeta(number, relief.source, digest), tuple(rows))
 
 
@@ -90,19 +92,21 @@ def read_relief(db: sqlite3.Connection, meta: CatalogMeta) -> GlobalRelief | Non
         return None
     number = meta.relief.rows
     means, max_heights = (
-        _assembled([read_tile(db, position)[0] for position in _places(number, layer)], number)
+        _join_tiles(
+            [read_tile(db, position)[0] for position in _iterate_tiles(number, layer)], number
+        )
         for layer in (MEANS, TOPS)
     )
     max_heights += means
     source = meta.relief.source
-    error = meta.error_of(source)
+    error = meta.find_error(source)
     stated = None if error is None else error.error_m
     return GlobalRelief(means, max_heights, meta.radius_m, source, stated)
 
 
-def tile_places(meta: ReliefMeta) -> list[TilePlace]:
+def list_tiles(meta: ReliefMeta) -> list[TilePlace]:
     """All tiles of a relief in the order of their keys."""
-    return [*_places(meta.rows, MEANS), *_places(meta.rows, TOPS)]
+    return [*_iterate_tiles(meta.rows, MEANS), *_iterate_tiles(meta.rows, TOPS)]
 
 
 def read_tile(db: sqlite3.Connection, place: TilePlace) -> tuple[Encoded, bytes]:
@@ -117,59 +121,59 @@ def read_tile(db: sqlite3.Connection, place: TilePlace) -> tuple[Encoded, bytes]
     if row is None:
         raise DataError(f"{place}: is missing")
     *where, size, step, offset, stored, data = row
-    encoded = Encoded.of_row(size, step, offset, data)
+    encoded = Encoded.parse_row(size, step, offset, data)
     if where != [place.key, *place] or encoded is None:
         raise DataError(f"{place}: its row of {RELIEF} is damaged")
-    header = _header(place, encoded)
-    if stored != checksum(header, encoded.data):
+    header = _pack_header(place, encoded)
+    if stored != compute_checksum(header, encoded.data):
         raise DataError(f"{place}: does not fit its checksum")
     return encoded, header
 
 
-def relief_digest(
+def hash_relief(
     db: sqlite3.Connection, meta: ReliefMeta, report: Callable[[str, object], None]
 ) -> str:
     """Digest of the tiles as they are; damage is reported, tile by tile."""
 
     def contents() -> Iterator[tuple[bytes, Int16Array]]:
-        for position in tile_places(meta):
+        for position in list_tiles(meta):
             try:
                 tile, header = read_tile(db, position)
                 yield header, decode_counts(tile.data, tile.size)
             except DataError as error:
                 report(str(position), str(error).removeprefix(f"{position}: "))
 
-    return patches_digest(contents()).hex()
+    return hash_patches(contents()).hex()
 
 
-def _header(place: TilePlace, encoded: Encoded) -> bytes:
+def _pack_header(place: TilePlace, encoded: Encoded) -> bytes:
     return _HEADER.pack(*place, encoded.size, encoded.step, encoded.offset)
 
 
-def _places(number: int, layer: int) -> Iterator[TilePlace]:
+def _iterate_tiles(number: int, layer: int) -> Iterator[TilePlace]:
     size = min(TILE, number)
     for row, col in np.ndindex(-(-number // size), -(-2 * number // size)):
         yield TilePlace(layer, row, col)
 
 
-def _part(grid: Float32Array, place: TilePlace, size: int) -> Float32Array:
+def _select_part(grid: Float32Array, place: TilePlace, size: int) -> Float32Array:
     return grid[place.row * size :, place.col * size :][:size, :size]
 
 
-def _encoded(grid: Float32Array, place: TilePlace, step: float) -> tuple[Encoded, Int16Array]:
+def _encode_tile(grid: Float32Array, place: TilePlace, step: float) -> tuple[Encoded, Int16Array]:
     size = min(TILE, len(grid))
-    part = _part(grid, place, size)
+    part = _select_part(grid, place, size)
     missing = [(0, size - side) for side in part.shape]
     return encode(np.pad(part, missing, mode="edge"), step)
 
 
-def _assembled(tiles: Sequence[Encoded], number: int) -> Float32Array:
+def _join_tiles(tiles: Sequence[Encoded], number: int) -> Float32Array:
     """The grid (number, 2 number) of all tiles of a layer. Raises DataError."""
     size = min(TILE, number)
     grid = np.empty((number, 2 * number), np.float32)
-    for position, encoded in zip(_places(number, MEANS), tiles, strict=True):
+    for position, encoded in zip(_iterate_tiles(number, MEANS), tiles, strict=True):
         if encoded.size != size:
             raise DataError(f"relief: a tile of {encoded.size} cells a side; wanted {size}")
-        part = _part(grid, position, size)
+        part = _select_part(grid, position, size)
         part[:] = decode(encoded)[: part.shape[0], : part.shape[1]]
     return grid

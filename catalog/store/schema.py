@@ -18,10 +18,10 @@ from catalog.store.geopackage import (
     FeatureLayer,
     Rule,
     create_geopackage,
+    define_srs,
     describe_geopackage,
-    srs_of,
-    style_qml,
-    system_rows,
+    format_style,
+    list_systems,
 )
 from catalog.store.manifest import CatalogMeta
 
@@ -71,7 +71,7 @@ POINT_LAYER = FeatureLayer(
         "levels INTEGER NOT NULL",
         "checksum INTEGER NOT NULL",
     ),
-    style_qml(
+    format_style(
         Rule("usable", '"usable"', "circle", GREEN, 2.0),
         Rule("not usable", "ELSE", "cross2", RED, 2.0),
     ),
@@ -98,13 +98,13 @@ CREATE TABLE {COMPARISON} (
 """
 
 
-def _columns(statement: str) -> tuple[str, ...]:
+def _parse_columns(statement: str) -> tuple[str, ...]:
     """Names of the columns of a CREATE TABLE statement."""
     return tuple(part.split()[0] for part in statement.partition("(")[2].split(","))
 
 
-POINT_COLUMNS, PATCH_COLUMNS = POINT_LAYER.names, _columns(_PATCH_TABLE)
-RELIEF_COLUMNS = _columns(RELIEF_TABLE)
+POINT_COLUMNS, PATCH_COLUMNS = POINT_LAYER.names, _parse_columns(_PATCH_TABLE)
+RELIEF_COLUMNS = _parse_columns(RELIEF_TABLE)
 # Up to format 3 the error, in nodes as now, stood under the name of another unit.
 FORMER_POINT_COLUMNS = tuple(
     "localisation_px" if name == "localisation_nodes" else name for name in POINT_COLUMNS
@@ -117,15 +117,15 @@ def select_points(meta: CatalogMeta) -> str:
     return f"SELECT {', '.join(columns)} FROM {POINTS}"
 
 
-def patch_key(point_id: int, layer: int, level: int) -> int:
+def compute_patch_key(point_id: int, layer: int, level: int) -> int:
     """Primary key of a patch: the patches of a point lie side by side in the file."""
     return point_id * 256 + layer * 16 + level
 
 
-def service_rows(meta: CatalogMeta) -> dict[str, list[tuple[object, ...]]]:
+def list_service_rows(meta: CatalogMeta) -> dict[str, list[tuple[object, ...]]]:
     """Rows of the GeoPackage's own tables that do not depend on the points, by table."""
-    systems = system_rows(meta.body, meta.radius_m)
-    srs_id = srs_of(meta.body, meta.radius_m)[0]
+    systems = list_systems(meta.body, meta.radius_m)
+    srs_id = define_srs(meta.body, meta.radius_m)[0]
     return {"gpkg_spatial_ref_sys": systems} | POINT_LAYER.service_rows(srs_id)
 
 
@@ -154,4 +154,4 @@ def insert_service_rows(
         tables.append(f"{COMPARISON}: Shifts of the points in a second terrain model")
     changed = meta.created_utc or UNDATED
     describe_geopackage(db, meta.body, meta.radius_m, changed, tables)
-    POINT_LAYER.register(db, srs_of(meta.body, meta.radius_m)[0], extent, changed)
+    POINT_LAYER.register(db, define_srs(meta.body, meta.radius_m)[0], extent, changed)

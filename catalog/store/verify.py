@@ -11,19 +11,19 @@ from catalog.errors import DATABASE_ERRORS, DataError
 from catalog.progress import Progress, SilentProgress, Stage
 from catalog.store.codec import decode_counts
 from catalog.store.comparison import read_shifts
-from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
-from catalog.store.geopackage import APPLICATION_ID, srs_of
+from catalog.store.connection import SealState, check_seal, connect, find_live_log, read_meta
+from catalog.store.geopackage import APPLICATION_ID, define_srs
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import (
-    catalog_digest,
     check_patch,
-    patches_digest,
-    point_digest,
+    hash_catalog,
+    hash_patches,
+    hash_point,
     stored_patch_from_row,
 )
 from catalog.store.reader import SELECT_PATCHES, read_records
 from catalog.store.records import record_from_row
-from catalog.store.relief import relief_digest, tile_places
+from catalog.store.relief import hash_relief, list_tiles
 from catalog.store.schema import (
     COMPARISON,
     HEIGHT_LAYER,
@@ -31,9 +31,9 @@ from catalog.store.schema import (
     POINT_LAYER,
     POINTS,
     RELIEF,
-    patch_key,
+    compute_patch_key,
+    list_service_rows,
     select_points,
-    service_rows,
 )
 
 RTREE = POINT_LAYER.rtree
@@ -91,28 +91,30 @@ def verify(path: str | Path, progress: Progress | None = None) -> Verification:
     with closing(connect(path)) as db:
         meta = read_meta(db, path)
         verification.stated = meta.digest
-        _integrity(db, verification)
-        records = _records(db, meta, verification)
+        _check_integrity(db, verification)
+        records = _check_records(db, meta, verification)
         if records is not None:
-            _features(db, meta, records, verification)
+            _check_features(db, meta, records, verification)
             stages = progress or SilentProgress()
             with stages.stage("verify", len(records), "point") as stage:
-                _contents(db, _read_again(db, meta, verification), records, verification, stage)
+                _check_contents(
+                    db, _read_again(db, meta, verification), records, verification, stage
+                )
         if meta.comparison is not None:
             try:
                 read_shifts(db, meta.comparison.digest)
             except DataError as error:
                 verification.add(COMPARISON, error)
-        _service(db, meta, verification)
+        _check_service_rows(db, meta, verification)
     if verification.sound:
         # with a log beside it the file is not all there is: another program is at work on it
-        verification.seal = SealState.OPENED if live_log(path) else seal_state(path, meta.seal)
+        verification.seal = SealState.OPENED if find_live_log(path) else check_seal(path, meta.seal)
         if verification.seal is SealState.BROKEN:
             verification.add("file", verification.seal.value)
     return verification
 
 
-def _integrity(db: sqlite3.Connection, verification: Verification) -> None:
+def _check_integrity(db: sqlite3.Connection, verification: Verification) -> None:
     """SQLite's own check of pages and indexes; data inside them is ours to check."""
     try:
         (identity,) = db.execute("PRAGMA application_id").fetchone()
@@ -125,7 +127,7 @@ def _integrity(db: sqlite3.Connection, verification: Verification) -> None:
         verification.add("SQLite", error)
 
 
-def _records(
+def _check_records(
     db: sqlite3.Connection, meta: CatalogMeta, verification: Verification
 ) -> RecordArray | None:
     try:
@@ -138,11 +140,11 @@ def _records(
     return records
 
 
-def _features(
+def _check_features(
     db: sqlite3.Connection, meta: CatalogMeta, records: RecordArray, verification: Verification
 ) -> None:
     """The feature layer and its R-tree must say the same as the packed points."""
-    srs_id = srs_of(meta.body, meta.radius_m)[0]
+    srs_id = define_srs(meta.body, meta.radius_m)[0]
     select = f"{select_points(meta)} WHERE id = ?"
     for record in records:
         number = int(record["id"])
@@ -158,7 +160,7 @@ def _features(
             tree = db.execute(
                 f"SELECT minx, maxx, miny, maxy FROM {RTREE} WHERE id = ?", (number,)
             ).fetchone()
-            if tree is None or not _encloses(tree, record):
+            if tree is None or not _is_enclosed(tree, record):
                 verification.add(f"{RTREE} {number}", "does not enclose its point")
         except (sqlite3.Error, ValueError, DataError) as error:
             verification.add(subject, error)
@@ -166,14 +168,14 @@ def _features(
         _count(db, table, len(records), verification)
 
 
-def _encloses(tree: Sequence[float], record: RecordArray) -> bool:
+def _is_enclosed(tree: Sequence[float], record: RecordArray) -> bool:
     west, east, south, north = tree
     near = max(east - west, north - south) <= RTREE_TOLERANCE_DEG
     lon, lat = float(record["lon_deg"]), float(record["lat_deg"])
     return near and west <= lon <= east and south <= lat <= north
 
 
-def _contents(
+def _check_contents(
     db: sqlite3.Connection,
     meta: CatalogMeta,
     records: RecordArray,
@@ -188,7 +190,7 @@ def _contents(
         for level in range(record["levels"]):
             subject = f"control point {number}, level {level}"
             try:
-                key = patch_key(number, HEIGHT_LAYER, level)
+                key = compute_patch_key(number, HEIGHT_LAYER, level)
                 row = db.execute(SELECT_PATCHES, (key, key)).fetchone()
                 if row is None:
                     verification.add(subject, "is missing")
@@ -199,11 +201,11 @@ def _contents(
                 contents.append((patch.header, counts))
             except (sqlite3.Error, ValueError, DataError) as error:
                 verification.add(subject, error)
-        digests += point_digest(record.tobytes(), patches_digest(contents))
+        digests += hash_point(record.tobytes(), hash_patches(contents))
         verification.points += 1
         verification.patches += len(contents)
         stage.advance()
-    verification.computed = catalog_digest(meta, digests)
+    verification.computed = hash_catalog(meta, digests)
     if verification.computed != verification.stated:
         verification.add(
             "digest", f"the content gives {verification.computed}; {verification.stated} is stated"
@@ -218,10 +220,10 @@ def _read_again(
     if meta.relief is None:
         return meta
     before = len(verification.problems)
-    digest = relief_digest(db, meta.relief, verification.add)
+    digest = hash_relief(db, meta.relief, verification.add)
     if digest != meta.relief.digest and len(verification.problems) == before:
         verification.add(RELIEF, f"the tiles give {digest}; {meta.relief.digest} is stated")
-    _count(db, RELIEF, len(tile_places(meta.relief)), verification)
+    _count(db, RELIEF, len(list_tiles(meta.relief)), verification)
     return replace(meta, relief=replace(meta.relief, digest=digest))
 
 
@@ -235,9 +237,11 @@ def _count(db: sqlite3.Connection, table: str, wanted: int, verification: Verifi
         verification.add(table, f"holds {count} rows; wanted {wanted}")
 
 
-def _service(db: sqlite3.Connection, meta: CatalogMeta, verification: Verification) -> None:
+def _check_service_rows(
+    db: sqlite3.Connection, meta: CatalogMeta, verification: Verification
+) -> None:
     """Our rows in the GeoPackage's service tables; rows of other programs are their own."""
-    for table, wanted in service_rows(meta).items():
+    for table, wanted in list_service_rows(meta).items():
         try:
             rows = set(db.execute(f"SELECT * FROM {table}").fetchall())
         except DATABASE_ERRORS as error:

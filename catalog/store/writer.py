@@ -10,18 +10,18 @@ from pathlib import Path
 import numpy as np
 
 from catalog.control_point import ComparisonShift, ControlPoint
-from catalog.files import replacing_file
+from catalog.files import replace_file
 from catalog.geometry.cells import CellGrid
 from catalog.store.comparison import insert_shifts
-from catalog.store.connection import SIDECARS, is_catalog_file, put_seal
-from catalog.store.geopackage import Box, srs_of
+from catalog.store.connection import SIDECARS, is_catalog_file, write_seal
+from catalog.store.geopackage import Box, define_srs
 from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import CatalogMeta, rows_from_meta
-from catalog.store.patches import PreparedPoint, catalog_digest, point_digest
+from catalog.store.patches import PreparedPoint, hash_catalog, hash_point
 from catalog.store.records import (
     Record,
-    checksum,
-    feature_row,
+    compute_checksum,
+    make_feature_row,
     point_from_record,
     record_from_point,
     record_type,
@@ -66,19 +66,19 @@ def write_catalog(
     """
     path = Path(path)
     # the log of a GIS program that had the old file open must not be applied to the new one
-    with replacing_file(path, is_catalog_file, SIDECARS) as partial:
-        with closing(_connect_new(partial)) as db:
+    with replace_file(path, is_catalog_file, SIDECARS) as partial:
+        with closing(_open_new(partial)) as db:
             create_tables(db)
             if relief is not None:
                 db.execute(RELIEF_TABLE)
                 meta = replace(meta, relief=relief.meta)
             meta = _fill(db, meta, points, relief.rows if relief is not None else ())
             db.execute("COMMIT")
-        put_seal(partial)
+        write_seal(partial)
     return Written(path, meta.count, meta.usable, meta.digest, path.stat().st_size)
 
 
-def _connect_new(path: Path) -> sqlite3.Connection:
+def _open_new(path: Path) -> sqlite3.Connection:
     db = sqlite3.connect(path, isolation_level=None)
     # nobody reads the file before it is complete, and a broken one is thrown away
     db.executescript(
@@ -111,7 +111,7 @@ def _fill(
         last_id = point.id
         source = sources.setdefault(point.source, len(sources))
         record = record_from_point(point, len(prepared.rows), source, layout).tobytes()
-        digests += point_digest(record, prepared.patches_digest)
+        digests += hash_point(record, prepared.patches_digest)
         db.executemany(insert_patch, prepared.rows)
         chunk.append(record)
         if point.comparison is not None:
@@ -124,11 +124,11 @@ def _fill(
     if chunk:
         _insert_records(db, chunks, chunk)
     meta = replace(meta, point_sources=tuple(sources), count=count, usable=usable)
-    meta = replace(meta, digest=catalog_digest(meta, digests))
+    meta = replace(meta, digest=hash_catalog(meta, digests))
     if meta.comparison is not None:
         compared = replace(meta.comparison, digest=insert_shifts(db, shifts))
         meta = replace(meta, comparison=compared)
-    extent = insert_features(db, meta, _stored_points(db, meta))
+    extent = insert_features(db, meta, _read_stored_points(db, meta))
     insert_service_rows(db, meta, extent)
     if relief_rows:
         db.executemany(f"INSERT INTO {RELIEF} VALUES (?,?,?,?,?,?,?,?,?)", relief_rows)
@@ -156,11 +156,11 @@ def _check(prepared: PreparedPoint, meta: CatalogMeta, grid: CellGrid, last_id: 
 
 def _insert_records(db: sqlite3.Connection, number: int, records: Sequence[bytes]) -> None:
     data = b"".join(records)
-    row = (number, len(records), checksum(data), data)
+    row = (number, len(records), compute_checksum(data), data)
     db.execute(f"INSERT INTO {RECORDS} VALUES (?,?,?,?)", row)
 
 
-def _stored_points(
+def _read_stored_points(
     db: sqlite3.Connection, meta: CatalogMeta
 ) -> Iterator[tuple[ControlPoint, Record]]:
     layout = record_type(meta.levels)
@@ -173,11 +173,11 @@ def insert_features(
     db: sqlite3.Connection, meta: CatalogMeta, points: Iterable[tuple[ControlPoint, Record]]
 ) -> Box | None:
     """Fill the feature layer and its R-tree; returns what the points span."""
-    srs_id = srs_of(meta.body, meta.radius_m)[0]
+    srs_id = define_srs(meta.body, meta.radius_m)[0]
     return POINT_LAYER.fill(
         db,
         (
-            (feature_row(p, record, srs_id), (p.lon_deg, p.lat_deg, p.lon_deg, p.lat_deg))
+            (make_feature_row(p, record, srs_id), (p.lon_deg, p.lat_deg, p.lon_deg, p.lat_deg))
             for p, record in points
         ),
     )

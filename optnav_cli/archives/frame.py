@@ -25,21 +25,26 @@ from catalog.bodies.kernels import KernelSet
 from catalog.config import load_toml
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.vectors import unit
-from optnav_cli.archives.isis_cube import CubePose, middle_utc
+from optnav_cli.archives.isis_cube import CubePose, find_middle_utc
 from optnav_cli.archives.label import ArchiveLabel, LabelFormat
 from optnav_cli.archives.label_geometry import (
     AttitudeKeys,
     TimeKeys,
     VectorKeys,
-    axes_of,
     check_keys,
+    find_axes,
     is_vector_stated,
     read_attitude,
     read_time,
     read_vector,
 )
 from optnav_cli.archives.label_keywords import check_label
-from optnav_cli.archives.source_sigmas import LABEL, SourceSigmas, cube_sigmas, kernel_sigmas
+from optnav_cli.archives.source_sigmas import (
+    LABEL,
+    SourceSigmas,
+    choose_cube_sigmas,
+    choose_kernel_sigmas,
+)
 from optnav_cli.frames.frames import Frame
 
 # The Sun and the rotation by a label and by the body file: further apart, one of both is of another
@@ -144,13 +149,13 @@ class FrameMaker:
     kernels: KernelSet | None = None
     notes: dict[str, None] = field(default_factory=dict)  # what people must know, each once
 
-    def of_label(self, label: ArchiveLabel, file: str) -> Frame:
+    def make_from_label(self, label: ArchiveLabel, file: str) -> Frame:
         """The frame that a label describes. Raises DataError for what it does not state."""
         table = self.table
         self.notes.update(dict.fromkeys(check_label(label)))
         utc, tdb_s = read_time(label, table.time)
         if table.attitude == AttitudeKeys() and self.kernels is not None:
-            return self.of_time(label.path, file, utc)
+            return self.make_from_time(label.path, file, utc)
         camera_from_inertial = table.rotation * read_attitude(label, table.attitude)
         body_from_inertial = Rotation.from_matrix(self.motion.body_from_inertial(tdb_s))
         camera_from_body = camera_from_inertial * body_from_inertial.inv()
@@ -162,12 +167,14 @@ class FrameMaker:
         position, sun = (
             None
             if keys is None or not is_vector_stated(label, keys)
-            else body_from[axes_of(label, keys)].apply(read_vector(label, keys, self.motion.body))
+            else body_from[find_axes(label, keys)].apply(read_vector(label, keys, self.motion.body))
             for keys in (table.position, table.sun)
         )
-        return self._frame(label.path, file, (utc, tdb_s), camera_from_body, position, sun, LABEL)
+        return self._make_frame(
+            label.path, file, (utc, tdb_s), camera_from_body, position, sun, LABEL
+        )
 
-    def of_cube(
+    def make_from_cube(
         self, path: Path, pose: CubePose, file: str, camera_from_isis: Rotation | None = None
     ) -> Frame:
         """The frame that the tables of an ISIS cube describe. Raises DataError.
@@ -182,11 +189,11 @@ class FrameMaker:
                 f"{self.motion.body.name}; name the body that it shows (--body)"
             )
         attitude = (camera_from_isis or self.table.rotation) * pose.isis_from_body
-        time = (middle_utc(pose), pose.tdb_s)
-        source = cube_sigmas(pose.position_quality, pose.pointing_quality)
-        return self._frame(path, file, time, attitude, pose.position_m, pose.sun_body, source)
+        time = (find_middle_utc(pose), pose.tdb_s)
+        source = choose_cube_sigmas(pose.position_quality, pose.pointing_quality)
+        return self._make_frame(path, file, time, attitude, pose.position_m, pose.sun_body, source)
 
-    def of_time(self, path: Path, file: str, utc: str) -> Frame:
+    def make_from_time(self, path: Path, file: str, utc: str) -> Frame:
         """The frame of a time by SPICE kernels. Raises DataError where they do not reach."""
         spice, body, kernels = self.table.spice, self.motion.body, self.kernels
         if spice is None or body.spice is None or kernels is None:
@@ -207,10 +214,10 @@ class FrameMaker:
         position = body_from_inertial.apply(-seen_m)
         attitude = self.table.rotation * attitude * body_from_inertial.inv()
         sun = self.motion.sun_body(tdb_s - light_s)
-        source = kernel_sigmas(*kernels.judge_qualities(spice.craft, tdb_s))
-        return self._frame(path, file, (utc, tdb_s), attitude, position, sun, source)
+        source = choose_kernel_sigmas(*kernels.judge_qualities(spice.craft, tdb_s))
+        return self._make_frame(path, file, (utc, tdb_s), attitude, position, sun, source)
 
-    def _frame(
+    def _make_frame(
         self,
         path: Path,
         file: str,
@@ -226,7 +233,7 @@ class FrameMaker:
         if position_m is not None:
             default_m = source.position.sigma_m(position_m, self.motion.body.radius_m)
             position_sigma_m = table.position_sigma_m or default_m
-        self._note_defaults(source, has_position=position_m is not None)
+        self._report_defaults(source, has_position=position_m is not None)
         sun_body = None if sun is None else unit(sun)
         if sun_body is not None:
             self._check_sun(path, tdb_s, sun_body)
@@ -242,7 +249,7 @@ class FrameMaker:
             sun_body=sun_body,
         )
 
-    def _note_defaults(self, source: SourceSigmas, *, has_position: bool) -> None:
+    def _report_defaults(self, source: SourceSigmas, *, has_position: bool) -> None:
         """Note which sigmas the table leaves to the defaults of the source."""
         table = self.table
         words = source.words(

@@ -103,15 +103,15 @@ def find_contradictions(stated: StatedGeometry, body: Body, values: Float32Array
             f"whose radius is {body.radius_m / 1e3:.6g} km: mend the unit of the position or name "
             "the body (--body)"
         ]
-    misses = _looks_away(stated, body)
+    misses = _check_view(stated, body)
     core, wide = _find_disc(values, CORE_LEVEL), _find_disc(values, WIDE_LEVEL)
     if misses or core is None or wide is None:
         return misses
-    size = _wrong_size(stated, body, (core, wide), distance_m)
-    return size or _wrong_sun(stated, body, core, distance_m)
+    size = _check_size(stated, body, (core, wide), distance_m)
+    return size or _check_sun_side(stated, body, core, distance_m)
 
 
-def _looks_away(stated: StatedGeometry, body: Body) -> list[str]:
+def _check_view(stated: StatedGeometry, body: Body) -> list[str]:
     """Whether the body stands outside the view by more than its radius and the sigmas."""
     if stated.attitude_sigma_rad is None:
         return []
@@ -121,16 +121,18 @@ def _looks_away(stated: StatedGeometry, body: Body) -> list[str]:
     radius = float(np.arcsin(min(max(body.radii_m) / distance_m, 1.0)))
     room = view + radius + SIGMAS * stated.attitude_sigma_rad
     room += SIGMAS * stated.position_sigma_m / distance_m
-    off = _off_axis(stated.camera_from_body, stated.position_m)
+    off = _measure_off_axis(stated.camera_from_body, stated.position_m)
     if off <= room:
         return []
     inertial = stated.body_from_inertial
     inverted = (stated.camera_from_body * inertial).inv() * inertial.inv()
     turned = Rotation.from_euler("z", 180.0, degrees=True) * stated.camera_from_body
     ways = {
-        "the sign of the position vector": _off_axis(stated.camera_from_body, -stated.position_m),
-        "the direction of the rotation": _off_axis(inverted, stated.position_m),
-        "the sign of the boresight": np.pi - _off_axis(turned, stated.position_m),
+        "the sign of the position vector": _measure_off_axis(
+            stated.camera_from_body, -stated.position_m
+        ),
+        "the direction of the rotation": _measure_off_axis(inverted, stated.position_m),
+        "the sign of the boresight": np.pi - _measure_off_axis(turned, stated.position_m),
     }
     mend = [words for words, angle in ways.items() if angle <= room]
     return [
@@ -140,12 +142,12 @@ def _looks_away(stated: StatedGeometry, body: Body) -> list[str]:
     ]
 
 
-def _off_axis(camera_from_body: Rotation, position_m: FloatArray) -> float:
+def _measure_off_axis(camera_from_body: Rotation, position_m: FloatArray) -> float:
     centre = camera_from_body.apply(-position_m / np.linalg.norm(position_m))
     return float(np.arccos(np.clip(centre[2], -1.0, 1.0)))
 
 
-def _wrong_size(
+def _check_size(
     stated: StatedGeometry, body: Body, discs: tuple[_Disc, _Disc], distance_m: float
 ) -> list[str]:
     """Whether the lit disc is larger or smaller than the range allows.
@@ -154,8 +156,8 @@ def _wrong_size(
     must be too large, since smear and stray light widen it, or its dim edge too small.
     """
     (core, wide), focal_px = discs, stated.camera.coarse_focal_px
-    small_px = _diameter_px(focal_px, min(body.radii_m), distance_m)
-    large_px = _diameter_px(focal_px, max(body.radii_m), distance_m)
+    small_px = _compute_diameter_px(focal_px, min(body.radii_m), distance_m)
+    large_px = _compute_diameter_px(focal_px, max(body.radii_m), distance_m)
     excuse = MAX_RATIO * (1.0 + SIGMAS * stated.position_sigma_m / distance_m)
     fits = large_px < FULL_VIEW * min(stated.camera.shape)
     too_large = fits and core.diameter_px > excuse * large_px
@@ -174,7 +176,7 @@ def _wrong_size(
     ]
 
 
-def _diameter_px(focal_px: float, radius_m: float, distance_m: float) -> float:
+def _compute_diameter_px(focal_px: float, radius_m: float, distance_m: float) -> float:
     sine = min(radius_m / distance_m, 0.999999)
     return float(2.0 * focal_px * sine / np.sqrt(1.0 - sine * sine))
 
@@ -184,12 +186,14 @@ def _is_day(stated: StatedGeometry) -> bool:
     return bool(up @ stated.sun_body > np.sin(np.radians(30.0)))
 
 
-def _wrong_sun(stated: StatedGeometry, body: Body, disc: _Disc, distance_m: float) -> list[str]:
+def _check_sun_side(
+    stated: StatedGeometry, body: Body, disc: _Disc, distance_m: float
+) -> list[str]:
     """Whether much more of the body is lit than a Sun behind it can light."""
     cosine = float(stated.sun_body @ stated.position_m) / distance_m
     phase = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
     focal_px = stated.camera.coarse_focal_px
-    whole_px2 = 0.25 * np.pi * _diameter_px(focal_px, body.radius_m, distance_m) ** 2
+    whole_px2 = 0.25 * np.pi * _compute_diameter_px(focal_px, body.radius_m, distance_m) ** 2
     whole_px2 = min(whole_px2, float(np.prod(stated.camera.shape)))
     lit = 0.5 * (1.0 + cosine)
     if phase < MIN_DARK_PHASE or disc.area_px2 < max(LIT_FACTOR * lit, 0.3) * whole_px2:

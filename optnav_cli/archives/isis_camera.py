@@ -20,10 +20,10 @@ from optnav_cli.archives.isis_keywords import (
     KEYWORDS,
     Label,
     Stated,
-    plain_value,
-    reported_keywords,
+    report_keywords,
+    strip_unit,
 )
-from optnav_cli.archives.isis_lens import with_lens
+from optnav_cli.archives.isis_lens import add_lens
 from optnav_cli.camera.camera import Camera
 
 MM_BY_M = 1e3
@@ -61,20 +61,20 @@ def read_cube_camera(path: Path, label: Label, body_isis: FloatArray) -> CubeCam
     """
     cube = label.get("IsisCube", {})
     naif, instrument = label.get("NaifKeywords"), cube.get("Instrument", {})
-    texts = [(key, str(plain_value(value))) for key, value in instrument.items()]
+    texts = [(key, str(strip_unit(value))) for key, value in instrument.items()]
     texts += [("Mapping", "a group")] if "Mapping" in cube else []
     check_keywords(path, texts, KEYWORDS)
     if not isinstance(naif, dict) or not any("FOCAL" in key.upper() for key in naif):
         return None
-    stated = Stated(path, naif, instrument, _codes(cube))
-    columns, rows = _full_size(path, cube)
-    notes = reported_keywords(naif)
-    plane = _focal_plane(stated)
+    stated = Stated(path, naif, instrument, _list_codes(cube))
+    columns, rows = _read_full_size(path, cube)
+    notes = report_keywords(naif)
+    plane = _read_focal_plane(stated)
     matrix, upside_down, camera_from_isis = _orient(path, plane[:, 1:], body_isis)
     pitch_mm = np.linalg.norm(matrix, axis=0)
-    origin = _origin(stated, columns, rows, notes)
-    summing = _summing(stated, origin, (columns, rows))
-    focal_mm = _focal_length(stated, pitch_mm, summing, (columns, rows), notes)
+    origin = _find_origin(stated, columns, rows, notes)
+    summing = _find_summing(stated, origin, (columns, rows))
+    focal_mm = _read_focal_length(stated, pitch_mm, summing, (columns, rows), notes)
     # constants of TRANSX and TRANSY move the boresight over the detector
     centre = origin - np.linalg.solve(plane[:, 1:], plane[:, 0])
     centre = (centre - 0.5) / summing - 0.5
@@ -82,7 +82,7 @@ def read_cube_camera(path: Path, label: Label, body_isis: FloatArray) -> CubeCam
         centre[1] = rows - 1 - centre[1]
     focal_x, focal_y = focal_mm / pitch_mm / summing
     camera = Camera(
-        name=_name(cube),
+        name=_make_name(cube),
         model="pinhole",
         width_px=columns,
         height_px=rows,
@@ -91,11 +91,11 @@ def read_cube_camera(path: Path, label: Label, body_isis: FloatArray) -> CubeCam
         principal_point_px=(float(centre[0]), float(centre[1])),
     )
     turn = matrix / pitch_mm
-    camera = with_lens(stated, camera, focal_mm, turn, upside_down, summing, notes)
+    camera = add_lens(stated, camera, focal_mm, turn, upside_down, summing, notes)
     return CubeCamera(camera, camera_from_isis, upside_down, tuple(notes))
 
 
-def _codes(cube: Label) -> tuple[str, ...]:
+def _list_codes(cube: Label) -> tuple[str, ...]:
     """Numbers of the instrument: that of its filter first, whose keywords are the finer ones."""
     kernels = cube.get("Kernels", {})
     code = kernels.get("NaifFrameCode", kernels.get("NaifIkCode"))
@@ -105,7 +105,7 @@ def _codes(cube: Label) -> tuple[str, ...]:
     return (str(code - band), str(code)) if isinstance(band, int) and band > 0 else (str(code),)
 
 
-def _full_size(path: Path, cube: Label) -> tuple[int, int]:
+def _read_full_size(path: Path, cube: Label) -> tuple[int, int]:
     """Samples and lines of the whole picture, of which a cube may be a part."""
     try:
         if "AlphaCube" in cube:
@@ -120,7 +120,7 @@ def _full_size(path: Path, cube: Label) -> tuple[int, int]:
     return columns, rows
 
 
-def _focal_plane(stated: Stated) -> FloatArray:
+def _read_focal_plane(stated: Stated) -> FloatArray:
     """TRANSX and TRANSY, (2, 3): constant, by sample, by line, mm."""
     rows = [stated.numbers(name, 3) for name in ("TRANSX", "TRANSY")]
     if rows[0] is not None and rows[1] is not None:
@@ -132,13 +132,13 @@ def _focal_plane(stated: Stated) -> FloatArray:
                 f"{stated.path}: its NaifKeywords have no TRANSX and TRANSY; run spiceinit of a "
                 "newer ISIS on it, or name a table that states the camera (--table)"
             )
-        turned = _inverted(stated.path, np.array(inverse)[:, 1:])
+        turned = _invert_plane(stated.path, np.array(inverse)[:, 1:])
         plane = np.column_stack([-turned @ np.array(inverse)[:, 0], turned])
-    _inverted(stated.path, plane[:, 1:])
+    _invert_plane(stated.path, plane[:, 1:])
     return plane
 
 
-def _inverted(path: Path, matrix: FloatArray) -> FloatArray:
+def _invert_plane(path: Path, matrix: FloatArray) -> FloatArray:
     sizes = np.linalg.norm(matrix, axis=0)
     skew = float(np.abs(matrix[:, 0] @ matrix[:, 1])) / max(float(sizes.prod()), 1e-300)
     if not (sizes > 1e-9).all() or skew > MAX_SKEW:
@@ -167,7 +167,7 @@ def _orient(
     return matrix, upside_down, Rotation.from_matrix([right, np.cross(boresight, right), boresight])
 
 
-def _origin(stated: Stated, columns: int, rows: int, notes: list[str]) -> FloatArray:
+def _find_origin(stated: Stated, columns: int, rows: int, notes: list[str]) -> FloatArray:
     """Sample and line of the boresight on the detector, (2,), counted from 1."""
     opencv = stated.numbers("OPENCV_OD_C", 2)
     if opencv is not None:  # where its lens is centred, the boresight is
@@ -183,16 +183,16 @@ def _origin(stated: Stated, columns: int, rows: int, notes: list[str]) -> FloatA
     return middle
 
 
-def _summing(stated: Stated, origin: FloatArray, size: tuple[int, int]) -> float:
+def _find_summing(stated: Stated, origin: FloatArray, size: tuple[int, int]) -> float:
     """The detector's pixels by those of the picture, as the label says and the boresight bears out.
 
     Raises DataError where both differ: the picture may be a window of the detector.
     """
     factor = 1.0
     for key in _SUMMING:
-        text = str(plain_value(stated.instrument.get(key, 1))).lower().partition("x")[0]
+        text = str(strip_unit(stated.instrument.get(key, 1))).lower().partition("x")[0]
         factor *= max(float(text), 1.0) if text.replace(".", "", 1).isdigit() else 1.0
-    factor *= 2.0 if str(plain_value(stated.instrument.get("FpuBinningMode", 0))) == "1" else 1.0
+    factor *= 2.0 if str(strip_unit(stated.instrument.get("FpuBinningMode", 0))) == "1" else 1.0
     by_size = 2.0 * (origin - 0.5) / np.array(size)
     if not (np.abs(by_size / factor - 1.0) < MAX_MISFIT).all():
         raise DataError(
@@ -203,7 +203,7 @@ def _summing(stated: Stated, origin: FloatArray, size: tuple[int, int]) -> float
     return factor
 
 
-def _focal_length(
+def _read_focal_length(
     stated: Stated,
     pitch_mm: FloatArray,
     summing: float,
@@ -231,7 +231,7 @@ def _focal_length(
     return focal_mm
 
 
-def _name(cube: Label) -> str:
+def _make_name(cube: Label) -> str:
     """A plain name of the camera."""
     text = str(cube.get("Instrument", {}).get("InstrumentId", "")).lower()
     word = "".join(letter if letter.isalnum() else "_" for letter in text).strip("_")[:40]

@@ -27,7 +27,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.inputs import check_input
-from catalog.rasters import open_raster, reading_raster
+from catalog.rasters import handle_read_errors, open_raster
 
 Label = dict[str, Any]  # a block: values, lists of values, and blocks, by name
 
@@ -87,11 +87,11 @@ def read_cube_pose(path: str | Path) -> CubePose:
     try:
         rotations = _read_table(path, label, "BodyRotation")
         positions = _read_table(path, label, "InstrumentPosition")
-        tdb_s = _middle(positions, utc, instrument)
-        body_from_inertial = _rotation(rotations, tdb_s)
-        isis_from_inertial = _rotation(_read_table(path, label, "InstrumentPointing"), tdb_s)
-        position, velocity = _states(positions, tdb_s)
-        sun, _ = _states(_read_table(path, label, "SunPosition"), tdb_s)
+        tdb_s = _find_middle(positions, utc, instrument)
+        body_from_inertial = _find_rotation(rotations, tdb_s)
+        isis_from_inertial = _find_rotation(_read_table(path, label, "InstrumentPointing"), tdb_s)
+        position, velocity = _interpolate_states(positions, tdb_s)
+        sun, _ = _interpolate_states(_read_table(path, label, "SunPosition"), tdb_s)
         if not np.linalg.norm(sun) > MIN_SUN_KM:
             raise DataError("its table SunPosition has the Sun inside the body")
     except DataError as error:
@@ -112,7 +112,7 @@ def read_cube_pose(path: str | Path) -> CubePose:
     )
 
 
-def middle_utc(pose: CubePose) -> str:
+def find_middle_utc(pose: CubePose) -> str:
     """UTC of the middle of the exposure, ending in Z.
 
     Before 1972, where the toolkit that made the tables rounds UTC to whole seconds, and where both
@@ -131,7 +131,7 @@ def read_cube_label(path: str | Path) -> Label:
     path = Path(path)
     check_input(path)
     try:
-        with open_raster(path, ("ISIS3",)) as cube, reading_raster(path):
+        with open_raster(path, ("ISIS3",)) as cube, handle_read_errors(path):
             # rasterio takes the text before the first colon for the name of a tag
             ((start, remainder),) = cube.tags(ns="json:ISIS3").items()
         label: Label = json.loads(f"{start}:{remainder}")
@@ -190,12 +190,12 @@ def _read_table(path: Path, label: Label, name: str) -> _Table:
     return _Table(name, table, columns)
 
 
-def _middle(table: _Table, utc: str, instrument: Label) -> float:
+def _find_middle(table: _Table, utc: str, instrument: Label) -> float:
     """The middle of the exposure, TDB s: the time of the one record, or by the label."""
     times = table.columns.get("ET", np.zeros(0))
     if times.size == 1:
         return float(times[0])
-    exposure_s = _exposure_s(instrument)
+    exposure_s = _read_exposure_s(instrument)
     spans = np.ptp(times) if times.size else 0.0
     if exposure_s is None or spans > MAX_EXPOSURES * exposure_s + MAX_MARGIN_S:
         shown = (
@@ -208,7 +208,7 @@ def _middle(table: _Table, utc: str, instrument: Label) -> float:
     return utc_to_tdb_s(utc) + 0.5 * exposure_s
 
 
-def _exposure_s(instrument: Label) -> float | None:
+def _read_exposure_s(instrument: Label) -> float | None:
     """The exposure time of the label, s; None where it or its unit is not stated."""
     stated = instrument.get("ExposureDuration")
     if not isinstance(stated, dict) or not isinstance(stated.get("value"), int | float):
@@ -230,7 +230,7 @@ def _check_time(path: Path, utc: str, tdb_s: float) -> None:
         )
 
 
-def _polynomials(table: _Table, fields: Sequence[str], tdb_s: float) -> FloatArray:
+def _evaluate_polynomials(table: _Table, fields: Sequence[str], tdb_s: float) -> FloatArray:
     """Polynomials whose terms are the records but the last, which has their origin and scale."""
     rows = table.rows(fields)
     origin, scale, degree = rows[-1]
@@ -242,7 +242,7 @@ def _polynomials(table: _Table, fields: Sequence[str], tdb_s: float) -> FloatArr
     return values
 
 
-def _increasing(table: _Table, tdb_s: float) -> FloatArray:
+def _read_times(table: _Table, tdb_s: float) -> FloatArray:
     times = table.rows(["ET"])[:, 0]
     if not (np.diff(times) > 0.0).all() or not times[0] <= tdb_s <= times[-1]:
         raise DataError(
@@ -252,33 +252,35 @@ def _increasing(table: _Table, tdb_s: float) -> FloatArray:
     return times
 
 
-def _states(table: _Table, tdb_s: float) -> tuple[FloatArray, FloatArray]:
+def _interpolate_states(table: _Table, tdb_s: float) -> tuple[FloatArray, FloatArray]:
     """Position (3,), km, and velocity (3,), km/s, zero where the table has none."""
     axes = ["J2000X", "J2000Y", "J2000Z"]
     if "J2000SVX" in table.columns:
-        return _polynomials(table, [f"J2000SV{axis}" for axis in "XYZ"], tdb_s), np.zeros(3)
+        return _evaluate_polynomials(table, [f"J2000SV{axis}" for axis in "XYZ"], tdb_s), np.zeros(
+            3
+        )
     positions = table.rows(axes)
     speeds = [f"{axis}V" for axis in axes]
     velocities = table.rows(speeds) if speeds[0] in table.columns else None
     if len(positions) == 1:
         return positions[0], np.zeros(3) if velocities is None else velocities[0]
-    times, kind = _increasing(table, tdb_s), str(table.label.get("CacheType", "Linear")).lower()
+    times, kind = _read_times(table, tdb_s), str(table.label.get("CacheType", "Linear")).lower()
     if velocities is not None and kind == "hermitespline":
         spline = CubicHermiteSpline(times, positions, velocities)
         return spline(tdb_s), spline(tdb_s, 1)
     if kind != "linear":
         raise DataError(f"its table {table.name} states CacheType = {kind}; wanted Linear")
-    velocity = np.zeros(3) if velocities is None else _at(times, velocities, tdb_s)
-    return _at(times, positions, tdb_s), velocity
+    velocity = np.zeros(3) if velocities is None else _interpolate_columns(times, velocities, tdb_s)
+    return _interpolate_columns(times, positions, tdb_s), velocity
 
 
-def _at(times: FloatArray, rows: FloatArray, tdb_s: float) -> FloatArray:
+def _interpolate_columns(times: FloatArray, rows: FloatArray, tdb_s: float) -> FloatArray:
     return np.array([np.interp(tdb_s, times, column) for column in rows.T])
 
 
-def _rotation(table: _Table, tdb_s: float) -> Rotation:
+def _find_rotation(table: _Table, tdb_s: float) -> Rotation:
     """Rotation from J2000 by the table, then the constant part of the label."""
-    rotation = _varying_rotation(table, tdb_s)
+    rotation = _interpolate_rotation(table, tdb_s)
     constant, name = table.label.get("ConstantRotation"), table.name
     if constant is None:
         return rotation
@@ -290,10 +292,10 @@ def _rotation(table: _Table, tdb_s: float) -> Rotation:
     return Rotation.from_matrix(matrix) * rotation
 
 
-def _varying_rotation(table: _Table, tdb_s: float) -> Rotation:
+def _interpolate_rotation(table: _Table, tdb_s: float) -> Rotation:
     """Rotation by quaternions, or by polynomials of the three angles about z, x and z."""
     if "J2000Ang1" in table.columns:
-        angles = _polynomials(table, [f"J2000Ang{part}" for part in (1, 2, 3)], tdb_s)
+        angles = _evaluate_polynomials(table, [f"J2000Ang{part}" for part in (1, 2, 3)], tdb_s)
         # axes turn by the first angle first: vectors turn the other way
         return Rotation.from_euler("zxz", -angles)
     quaternions = table.rows([f"J2000Q{part}" for part in range(4)])
@@ -303,4 +305,4 @@ def _varying_rotation(table: _Table, tdb_s: float) -> Rotation:
         raise DataError(f"its table {table.name} holds a quaternion of zero length") from None
     if len(quaternions) == 1:
         return rotations[0]
-    return Slerp(_increasing(table, tdb_s), rotations)(tdb_s)
+    return Slerp(_read_times(table, tdb_s), rotations)(tdb_s)

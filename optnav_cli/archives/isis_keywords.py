@@ -88,7 +88,7 @@ class Stated:
             stated = list(others.values())
         if not stated:
             return None
-        values = np.atleast_1d(np.array(plain_value(stated[0]), dtype=object))[:count]
+        values = np.atleast_1d(np.array(strip_unit(stated[0]), dtype=object))[:count]
         try:
             numbers = values.astype(np.float64)
         except (TypeError, ValueError):
@@ -98,7 +98,7 @@ class Stated:
         return numbers
 
 
-def reported_keywords(naif: Label) -> list[str]:
+def report_keywords(naif: Label) -> list[str]:
     """Say which keywords of an instrument kernel are not used, a line for each reason."""
     by_reason: dict[str, list[str]] = {}
     for key, value in naif.items():
@@ -117,6 +117,6 @@ def _is_key(key: str, name: str) -> bool:
     return tail == name and head.startswith("INS")
 
 
-def plain_value(value: object) -> object:
+def strip_unit(value: object) -> object:
     """A value without its unit."""
     return value["value"] if isinstance(value, dict) and "value" in value else value

@@ -11,7 +11,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
-from optnav_cli.archives.isis_keywords import Stated, plain_value
+from optnav_cli.archives.isis_keywords import Stated, strip_unit
 from optnav_cli.camera.camera import Camera
 
 MAX_DISTORTION = 0.2  # of the distance of the corners from the axis
@@ -22,7 +22,7 @@ LENSES = ([0, 1, 2, 3], [0, 1, 2, 3, 4], [0, 1, 2, 3, 6, 7], list(range(8)))
 GRID = 21  # points along a side that a lens is fitted to
 
 
-def with_lens(
+def add_lens(
     stated: Stated,
     camera: Camera,
     focal_mm: float,
@@ -37,9 +37,9 @@ def with_lens(
     """
     opencv = [stated.numbers(f"OPENCV_OD_{key}", n) for key, n in (("K", 6), ("P", 2), ("F", 2))]
     if all(part is not None for part in opencv):
-        return _with_opencv(stated, camera, np.concatenate([p for p in opencv if p is not None]),
+        return _add_opencv(stated, camera, np.concatenate([p for p in opencv if p is not None]),
                             upside_down, summing)  # fmt: skip
-    undistort = _lens_model(stated)
+    undistort = _choose_lens_model(stated)
     if undistort is None:
         return camera
     fitted, worst_px = _fit_lens(camera, focal_mm, turn, undistort)
@@ -48,13 +48,13 @@ def with_lens(
     return fitted
 
 
-def _with_opencv(
+def _add_opencv(
     stated: Stated, camera: Camera, terms: FloatArray, upside_down: bool, summing: float
 ) -> Camera:
     """The lens as OpenCV has it, in the cube's samples and lines."""
     k, (p1, p2), focal = terms[:6], terms[6:8], terms[8:]
     slope = stated.numbers("OPENCV_OD_A", 1)
-    degrees = plain_value(stated.instrument.get("CameraHeadTemperature", 0.0))
+    degrees = strip_unit(stated.instrument.get("CameraHeadTemperature", 0.0))
     if slope is not None and isinstance(degrees, int | float):
         focal = focal * (1.0 + float(slope[0]) * float(degrees))
     # turned over, y and with it the tangential term along y change their sign
@@ -68,7 +68,7 @@ def _with_opencv(
     )
 
 
-def _lens_model(stated: Stated) -> Callable[[FloatArray], FloatArray] | None:
+def _choose_lens_model(stated: Stated) -> Callable[[FloatArray], FloatArray] | None:
     """The function that takes points of the focal plane (n, 2), mm, to those without distortion."""
     taylor = [stated.numbers(f"OD_T_{axis}", 10) for axis in "XY"]
     if taylor[0] is not None and taylor[1] is not None:
@@ -79,11 +79,11 @@ def _lens_model(stated: Stated) -> Callable[[FloatArray], FloatArray] | None:
             powers = np.array([0.0, -terms[0], 0.0]) if count == 1 else terms
             if not np.any(powers):
                 return None
-            return lambda points: _radial(points, powers)
+            return lambda points: _undo_radial(points, powers)
     return None
 
 
-def _radial(points: FloatArray, terms: FloatArray) -> FloatArray:
+def _undo_radial(points: FloatArray, terms: FloatArray) -> FloatArray:
     """Undo ISIS's RadialDistortionMap: u = d (1 - k0 - k1 r^2 - k2 r^4), r that of d, mm."""
     square = np.sum(points**2, axis=1, keepdims=True)
     plain: FloatArray = points * (1.0 - terms[0] - terms[1] * square - terms[2] * square**2)

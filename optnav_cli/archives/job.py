@@ -10,17 +10,17 @@ from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.kernels import KernelSet
 from catalog.config import nearest_name, resource
 from catalog.errors import ConfigError, DataError, UsageError
-from catalog.files import replacing_folder
+from catalog.files import replace_folder
 from catalog.places import check_apart
 from optnav_cli.archives.frame import NINE_IDENTITY, FrameMaker, ImportTable, load_table
 from optnav_cli.archives.geometry_check import check_import
 from optnav_cli.archives.isis_camera import CubeCamera, crop_camera, read_cube_camera
 from optnav_cli.archives.isis_cube import CubePose, read_cube_pose
 from optnav_cli.archives.label import ArchiveLabel, read_label
-from optnav_cli.archives.label_geometry import VectorKeys, unstated_keys
-from optnav_cli.archives.pixels import COPIED, is_flipped, put_picture, read_picture_shape
+from optnav_cli.archives.label_geometry import VectorKeys, list_unstated_keys
+from optnav_cli.archives.pixels import COPIED, is_flipped, read_picture_shape, store_picture
 from optnav_cli.archives.source import ImportSource, check_row_time, read_sources
-from optnav_cli.archives.target import body_of_target
+from optnav_cli.archives.target import find_target_body
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.frames.folder import write_folder
@@ -75,7 +75,7 @@ def import_folder(
         )
     started = datetime.now(UTC)
     check_apart(output, [*files, *options.pictures, *options.kernels])
-    with replacing_folder(output, KIND) as new:
+    with replace_folder(output, KIND) as new:
         importer = _Importer(options, new)
         for number, path in enumerate(files):
             named = options.pictures[number] if options.pictures else None
@@ -86,14 +86,14 @@ def import_folder(
             KIND,
             command="import",
             options={"table": options.table, "camera": options.camera, "body": options.body},
-            inputs=_hashes(files),
+            inputs=_hash_inputs(files),
             results={"quaternions": "camera_from_body", "frames": len(imported.frames)},
             started=started,
         )
     return imported
 
 
-def _hashes(files: Sequence[Path]) -> dict[str, str | None]:
+def _hash_inputs(files: Sequence[Path]) -> dict[str, str | None]:
     hashes: dict[str, str | None] = {}
     for path in files:
         hashes |= hash_files(path.parent, [path.name])
@@ -130,19 +130,19 @@ class _Importer:
                 self._skipped.append(f"{row}{error}")
 
     def _add(self, source: ImportSource, own_picture: Path | None) -> None:
-        where, table = self._table(source)
+        where, table = self._choose_table(source)
         if source.label is not None and source.kind == "fits" and table.extension != "":
             label = read_label(source.path, "fits", str(table.extension))
             source = replace(source, label=label)
-        motion = self._motion_of(source, where, table)
+        motion = self._find_motion(source, where, table)
         named = self._options.camera
         pose, shot = _read_cube(source, table)
-        picture = own_picture or _picture_path(source, table)
+        picture = own_picture or _locate_picture(source, table)
         if shot is not None and not (named or table.camera):
             camera = shot.camera
         else:
             beside = Path() if named else where.parent
-            camera = _camera(named or table.camera, beside, source, picture)
+            camera = _choose_camera(named or table.camera, beside, source, picture)
         upside_down = shot is not None and shot.upside_down
         if source.cube is not None and picture == source.path:
             camera = crop_camera(picture, source.cube, camera, upside_down)
@@ -156,43 +156,43 @@ class _Importer:
         if file in self._frames:
             raise DataError(f"{picture}: a picture of this name is there already; rename one")
         if source.label is not None:
-            frame = maker.of_label(source.label, file)
+            frame = maker.make_from_label(source.label, file)
         elif pose is not None:
             turn = None if shot is None else shot.camera_from_isis
-            frame = maker.of_cube(source.path, pose, file, turn)
+            frame = maker.make_from_cube(source.path, pose, file, turn)
         else:
             check_row_time(source)
-            frame = maker.of_time(source.path, file, source.utc)
-        said += put_picture(source, table, picture, camera, self._place / file, flipped)
+            frame = maker.make_from_time(source.path, file, source.utc)
+        said += store_picture(source, table, picture, camera, self._place / file, flipped)
         self._pixel_notes += said
         self._cameras[camera.name] = camera
         self._frames[file] = frame
         doubts = check_import(self._place / file, frame, camera, motion)
         self._doubts += [f"{file}: {doubt}" for doubt in doubts]
-        self._note(table, frame, camera, source.label)
+        self._collect_notes(table, frame, camera, source.label)
         self._notes |= maker.notes
         if shot is not None:
             self._notes |= dict.fromkeys(shot.notes)
         elif pose is not None and table.camera_from_frame == NINE_IDENTITY:
             self._notes[NO_TRANSX] = None
 
-    def _note(
+    def _collect_notes(
         self, table: ImportTable, frame: Frame, camera: Camera, label: ArchiveLabel | None
     ) -> None:
         notes = list(table.unknown)
         if frame.attitude_sigma_rad is None:
             notes.append("attitudes are first guesses: they are free (attitude_sigma_arcsec empty)")
         if frame.sun_body is None:
-            missing = _missing_keys(label, table.sun)
+            missing = _list_missing_keys(label, table.sun)
             notes.append(f"no Sun in the labels{missing}: it is computed from the time")
         if frame.position_m is None:
-            missing = _missing_keys(label, table.position)
+            missing = _list_missing_keys(label, table.position)
             notes.append(f"no position in the labels{missing}: frames are solved without a prior")
         if camera.psf_sigma_px is None:
             notes.append(f"no blur of camera {camera.name} (psf_sigma_px)")
         self._notes |= dict.fromkeys(notes)
 
-    def _table(self, source: ImportSource) -> tuple[Path, ImportTable]:
+    def _choose_table(self, source: ImportSource) -> tuple[Path, ImportTable]:
         """The table for a label, and its file."""
         name = self._options.table
         shipped = sorted(resource(f"{TABLES}/near_msi.toml").parent.glob("*.toml"))
@@ -207,7 +207,7 @@ class _Importer:
                 path = shipped[known.index(name)]
             return path, self._read_table(path)
         # a mission's table goes before those that any label of a format fits
-        for path in sorted(shipped, key=self._generality):
+        for path in sorted(shipped, key=self._rank_table):
             table = self._read_table(path)
             stated = {key: source.text(key).upper() for key in table.match}
             if table.format == source.kind and all(
@@ -220,7 +220,7 @@ class _Importer:
             "attitude, write its time to a .csv and name SPICE kernels (--kernel)"
         )
 
-    def _generality(self, path: Path) -> tuple[int, str]:
+    def _rank_table(self, path: Path) -> tuple[int, str]:
         return -sum(map(bool, self._read_table(path).match.values())), path.name
 
     def _read_table(self, path: Path) -> ImportTable:
@@ -228,11 +228,11 @@ class _Importer:
             self._tables[path] = load_table(path)
         return self._tables[path]
 
-    def _motion_of(self, source: ImportSource, where: Path, table: ImportTable) -> Ephemeris:
+    def _find_motion(self, source: ImportSource, where: Path, table: ImportTable) -> Ephemeris:
         """Return the rotation model of the folder's body; a label of another body is refused."""
         target = source.text(table.target).lower() if table.target else ""
         shipped = resource("configs/bodies/moon.toml").parent.glob("*.toml")
-        of_target = body_of_target(target, [path.stem for path in sorted(shipped)])
+        of_target = find_target_body(target, [path.stem for path in sorted(shipped)])
         name = self._options.body or table.body or of_target
         if not name:
             raise DataError(f"{source.path}: no body is named; name it with --body")
@@ -241,7 +241,7 @@ class _Importer:
         if self._body is None:
             self._body = name, load_ephemeris(load_body(name), self._options.kernels)
         folder, motion = self._body
-        if name != folder or (target and not body_of_target(target, [motion.body.name])):
+        if name != folder or (target and not find_target_body(target, [motion.body.name])):
             shown = target.upper() or name
             raise DataError(
                 f"{source.path}: shows {shown} by its label, not {motion.body.name}; import it "
@@ -269,9 +269,9 @@ class _Importer:
         return Imported(frames, [f"{output}: {count} of {self._body[1].body.name}", *remarks])
 
 
-def _missing_keys(label: ArchiveLabel | None, keys: VectorKeys | None) -> str:
+def _list_missing_keys(label: ArchiveLabel | None, keys: VectorKeys | None) -> str:
     """Words for the keywords of a vector that a label leaves out."""
-    missing = unstated_keys(label, keys) if label is not None and keys is not None else []
+    missing = list_unstated_keys(label, keys) if label is not None and keys is not None else []
     if not missing:
         return ""
     return f" ({', '.join(missing)} {'is' if len(missing) == 1 else 'are'} not stated)"
@@ -290,7 +290,7 @@ def _read_cube(
     return pose, read_cube_camera(source.path, source.cube, body_isis)
 
 
-def _camera(
+def _choose_camera(
     names: str | tuple[str, ...], beside: Path, source: ImportSource, picture: Path
 ) -> Camera:
     """The camera of a name, or the first of several that takes pictures of this one's size."""
@@ -314,7 +314,7 @@ def _camera(
     return next((camera for camera in cameras if camera.shape == shape), cameras[0])
 
 
-def _picture_path(source: ImportSource, table: ImportTable) -> Path:
+def _locate_picture(source: ImportSource, table: ImportTable) -> Path:
     if source.file:
         return source.path.parent / source.file
     if table.picture:

@@ -17,13 +17,13 @@ from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, check_input
 from catalog.keywords import MAX_SHOWN
 from catalog.special_values import read_number
-from optnav_cli.archives.label_units import EXAMPLES, Quantity, find_unit, unit_of_comment
+from optnav_cli.archives.label_units import EXAMPLES, Quantity, extract_unit, find_unit
 from optnav_cli.archives.odl import OdlError, Statement, read_statements
 from optnav_cli.archives.pds4_label import find_elements, read_elements
 from optnav_cli.archives.vicar_label import BEGINNING as VICAR_BEGINNING
 from optnav_cli.archives.vicar_label import read_pairs
 from optnav_cli.frames.fits_cards import CARD, read_cards
-from optnav_cli.frames.fits_picture import BLOCK, fits_headers
+from optnav_cli.frames.fits_picture import BLOCK, read_fits_headers
 
 LabelFormat = Literal["fits", "pds3", "pds4", "vicar", "settings"]
 Values = dict[str, tuple[str, ...]]
@@ -60,7 +60,7 @@ class ArchiveLabel:
 
     def texts(self, key: str) -> tuple[str, ...]:
         """The values of a keyword. Raises DataError where it is not stated, or stated twice."""
-        names = self._names(key)
+        names = self._find_names(key)
         values = {self.values[name]: name for name in names}
         if len(values) > 1 or self.doubled.intersection(names):
             shown = ", ".join(value[0] if value else "nothing" for value in values)
@@ -75,16 +75,16 @@ class ArchiveLabel:
 
     def is_stated(self, key: str) -> bool:
         """Whether a keyword has a value and none that stands for a missing one."""
-        values = [self.values[name] for name in self._names(key.removeprefix("-"))]
+        values = [self.values[name] for name in self._find_names(key.removeprefix("-"))]
         return any(
             value and not any(text.upper() in _NOT_STATED for text in value) for value in values
         )
 
     def unit(self, key: str) -> tuple[str, ...]:
         """The units of a keyword's values; none where it has none."""
-        return next((self.units[name] for name in self._names(key) if name in self.units), ())
+        return next((self.units[name] for name in self._find_names(key) if name in self.units), ())
 
-    def frame_keys(self, key: str) -> list[str]:
+    def list_frame_keys(self, key: str) -> list[str]:
         """The keywords by which a label names the frame of a keyword's numbers, nearest first.
 
         PDS3 names one beside the keyword, PDS4 one in an element that holds the keyword's.
@@ -92,7 +92,7 @@ class ArchiveLabel:
         if "/" not in key:
             return [name for name in ("COORDINATE_SYSTEM_NAME",) if name in self.values]
         keys = []
-        for name in self._names(key)[:1]:
+        for name in self._find_names(key)[:1]:
             base = name
             while base := base.rpartition("/")[0]:
                 ends = ("Reference_Frame_Identification/name",
@@ -100,7 +100,7 @@ class ArchiveLabel:
                 keys += [f"{base}/{end}" for end in ends if f"{base}/{end}" in self.values]
         return keys
 
-    def _names(self, key: str) -> list[str]:
+    def _find_names(self, key: str) -> list[str]:
         if "/" not in key:
             return [key] if key in self.values else []
         return find_elements(self.values, key)
@@ -128,10 +128,14 @@ class ArchiveLabel:
                     raise DataError(
                         f"{self.path}: {name} is {text[:40]}, no number below {MAX_NUMBER:g}"
                     )
-                converted.append(sign * value * self._size(name, text, unit, quantity, default))
+                converted.append(
+                    sign * value * self._find_unit_size(name, text, unit, quantity, default)
+                )
         return np.array(converted)
 
-    def _size(self, key: str, text: str, unit: str, quantity: Quantity, default: float) -> float:
+    def _find_unit_size(
+        self, key: str, text: str, unit: str, quantity: Quantity, default: float
+    ) -> float:
         stated = find_unit(unit)
         if stated is not None and stated[0] == "number":
             return default
@@ -155,24 +159,24 @@ def read_label(path: Path, kind: LabelFormat, extension: str = "") -> ArchiveLab
     extension  number or name of the picture in a FITS file; empty: the first
     """
     if kind == "vicar":
-        return _vicar_label(path)
+        return _read_vicar_label(path)
     if kind == "fits":
         check_input(path)
-        return _fits_label(path, fits_headers(path, extension))
-    raw = _head(path, MAX_LABEL)
+        return _read_fits_label(path, read_fits_headers(path, extension))
+    raw = _read_head(path, MAX_LABEL)
     if kind == "pds3":
-        return _pds3_label(path, raw.decode("latin-1"))
+        return _read_pds3_label(path, raw.decode("latin-1"))
     text = raw.decode("utf-8-sig", "replace")
     if kind == "settings":
-        return ArchiveLabel(path, _settings_values(path, text))
+        return ArchiveLabel(path, _parse_settings(path, text))
     elements = list(read_elements(path, text))
     values: Values = {name: (value,) for name, value, _ in elements}
     return ArchiveLabel(path, values, {name: (unit,) for name, _, unit in elements if unit})
 
 
-def format_of(path: Path) -> LabelFormat | None:
+def detect_format(path: Path) -> LabelFormat | None:
     """Which kind of label a file begins with; None for none of these."""
-    head = _head(path, 4096)
+    head = _read_head(path, 4096)
     if head.startswith(b"SIMPLE  ="):
         return "fits"
     if head.startswith(VICAR_BEGINNING):
@@ -184,7 +188,7 @@ def format_of(path: Path) -> LabelFormat | None:
     return "settings" if re.match(rb"\s*\[[\w ]+\]\s", head) else None
 
 
-def _head(path: Path, size: int) -> bytes:
+def _read_head(path: Path, size: int) -> bytes:
     """The first bytes of a file. Raises DataError for a file that cannot be read."""
     check_input(path)
     try:
@@ -194,7 +198,7 @@ def _head(path: Path, size: int) -> bytes:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from None
 
 
-def _header_bytes(path: Path, raw: bytes) -> int:
+def _find_header_end(path: Path, raw: bytes) -> int:
     """Where the header of a FITS file ends."""
     for start in range(0, min(len(raw), MAX_LABEL), CARD):
         if raw[start : start + 8] == b"END     ":
@@ -202,22 +206,22 @@ def _header_bytes(path: Path, raw: bytes) -> int:
     raise DataError(f"{path}: its FITS header has no end; get the file again")
 
 
-def _fits_label(path: Path, raw: bytes) -> ArchiveLabel:
+def _read_fits_label(path: Path, raw: bytes) -> ArchiveLabel:
     values: Values = {}
     units: Values = {}
     doubled: set[str] = set()
     if not raw.startswith(b"SIMPLE  ="):
         raise DataError(f"{path}: is no FITS file")
-    for key, value, comment in read_cards(raw[: _header_bytes(path, raw)]):
+    for key, value, comment in read_cards(raw[: _find_header_end(path, raw)]):
         texts = (value,)
         if values.setdefault(key, texts) != texts:
             doubled.add(key)
-        elif unit := unit_of_comment(comment):
+        elif unit := extract_unit(comment):
             units.setdefault(key, (unit,))
     return ArchiveLabel(path, values, units, frozenset(doubled))
 
 
-def _pds3_label(path: Path, text: str) -> ArchiveLabel:
+def _read_pds3_label(path: Path, text: str) -> ArchiveLabel:
     """A label of statements: a keyword by itself is that of the outermost block that has it."""
     values: Values = {}
     units: Values = {}
@@ -229,7 +233,7 @@ def _pds3_label(path: Path, text: str) -> ArchiveLabel:
     if not statements:
         raise DataError(f"{path}: is no PDS3 label")
     depths: dict[str, int] = {}
-    for blocks, key, texts, stated in sorted(statements, key=_depth):
+    for blocks, key, texts, stated in sorted(statements, key=_count_blocks):
         for name in {key, ".".join((*blocks, key))}:
             if depths.setdefault(name, len(blocks)) == len(blocks) and name in values:
                 doubled |= {name} if values[name] != texts else set()
@@ -238,7 +242,7 @@ def _pds3_label(path: Path, text: str) -> ArchiveLabel:
     return ArchiveLabel(path, values, units, frozenset(doubled))
 
 
-def _vicar_label(path: Path) -> ArchiveLabel:
+def _read_vicar_label(path: Path) -> ArchiveLabel:
     values: Values = {}
     doubled: set[str] = set()
     for group, key, texts in read_pairs(path):
@@ -248,11 +252,11 @@ def _vicar_label(path: Path) -> ArchiveLabel:
     return ArchiveLabel(path, values, doubled=frozenset(doubled))
 
 
-def _depth(statement: Statement) -> int:
+def _count_blocks(statement: Statement) -> int:
     return len(statement.blocks)
 
 
-def _settings_values(path: Path, text: str) -> Values:
+def _parse_settings(path: Path, text: str) -> Values:
     """Parse settings in sections to SECTION.KEY; lists of numbers stand in brackets."""
     parser = configparser.ConfigParser(interpolation=None, strict=False)
     try:

@@ -131,12 +131,12 @@ def read_time(label: ArchiveLabel, keys: TimeKeys) -> tuple[str, float]:
     elif keys.unix:
         # which counts no leap seconds: whole days and what is left of the last one
         since = float(label.numbers((keys.unix,), "time")[0]) + half
-        began, seconds = _utc_day(1970, 1 + int(since // 86400.0)), since % 86400.0
+        began, seconds = _format_utc_day(1970, 1 + int(since // 86400.0)), since % 86400.0
     elif keys.clock:
         began, seconds = keys.clock_began_utc, float(label.numbers((keys.clock,), "time")[0]) + half
     else:
         year, day, hour, minute, second, millisecond = label.numbers(keys.fields).tolist()
-        began = _utc_day(int(year), int(day))
+        began = _format_utc_day(int(year), int(day))
         seconds = 3600.0 * hour + 60.0 * minute + second + 1e-3 * millisecond + half
     try:
         tdb_s = float(compute_tdb_s_after(began, [seconds])[0])
@@ -145,7 +145,7 @@ def read_time(label: ArchiveLabel, keys: TimeKeys) -> tuple[str, float]:
     return utc_from_tdb_s(tdb_s, 3), tdb_s
 
 
-def _utc_day(year: int, day: int) -> str:
+def _format_utc_day(year: int, day: int) -> str:
     """The beginning of a day that is counted from the first of a year, which is day 1."""
     date = np.datetime64(f"{year:04d}-01-01") + np.timedelta64(day - 1, "D")
     return f"{date}T00:00:00Z"
@@ -153,34 +153,34 @@ def _utc_day(year: int, day: int) -> str:
 
 def is_vector_stated(label: ArchiveLabel, keys: VectorKeys) -> bool:
     """Whether a label states all that a vector is made of."""
-    return not unstated_keys(label, keys)
+    return not list_unstated_keys(label, keys)
 
 
-def unstated_keys(label: ArchiveLabel, keys: VectorKeys) -> list[str]:
+def list_unstated_keys(label: ArchiveLabel, keys: VectorKeys) -> list[str]:
     """The keywords of a vector that a label does not state."""
     names = (*keys.keys, *keys.minus, *keys.sub_point, *([keys.range] if keys.range else []))
     return [name.removeprefix("-") for name in names if not label.is_stated(name)]
 
 
-def axes_of(label: ArchiveLabel, keys: VectorKeys) -> Axes:
+def find_axes(label: ArchiveLabel, keys: VectorKeys) -> Axes:
     """Along which axes a vector lies. Raises DataError for a frame that is not known."""
     if keys.sub_point:
         return "body"
-    return keys.axes or _frame_axes(label, keys.keys[0].removeprefix("-")) or "inertial"
+    return keys.axes or _find_frame_axes(label, keys.keys[0].removeprefix("-")) or "inertial"
 
 
 def check_frame(label: ArchiveLabel, keys: Keys) -> None:
     """Refuse an attitude against other axes than those of the stars. Raises DataError."""
-    axes = _frame_axes(label, keys[0].removeprefix("-")) if "/" in keys[0] else "inertial"
+    axes = _find_frame_axes(label, keys[0].removeprefix("-")) if "/" in keys[0] else "inertial"
     if axes == "body":
         raise DataError(
             f"{label.path}: states {keys[0]} in the frame of the body; wanted one in J2000 or ICRF"
         )
 
 
-def _frame_axes(label: ArchiveLabel, key: str) -> Axes | None:
+def _find_frame_axes(label: ArchiveLabel, key: str) -> Axes | None:
     """The axes of the frame that a label names for a keyword; None where it names none."""
-    for name in label.frame_keys(key):
+    for name in label.list_frame_keys(key):
         text = label.values[name][0].upper() if label.values[name] else ""
         if not label.is_stated(name) or text in ("PLANETOCENTRIC", "PLANETOGRAPHIC"):
             continue
@@ -201,7 +201,7 @@ def read_vector(label: ArchiveLabel, keys: VectorKeys, body: Body) -> FloatArray
     Raises DataError for numbers that are none or of another quantity.
     """
     if keys.sub_point:
-        return _above_point(label, keys, body)
+        return _compute_above_point(label, keys, body)
     vector = label.numbers(keys.keys, "length", keys.unit_m)
     if keys.minus:
         vector = vector - label.numbers(keys.minus, "length", keys.unit_m)
@@ -210,34 +210,34 @@ def read_vector(label: ArchiveLabel, keys: VectorKeys, body: Body) -> FloatArray
     return vector
 
 
-def _above_point(label: ArchiveLabel, keys: VectorKeys, body: Body) -> FloatArray:
+def _compute_above_point(label: ArchiveLabel, keys: VectorKeys, body: Body) -> FloatArray:
     """A vector (3,), body axes, from the centre through a point of the surface."""
-    latitude, longitude = _angles(label, keys.sub_point, 2)
+    latitude, longitude = _read_angles(label, keys.sub_point, 2)
     if not abs(latitude) <= 0.5 * np.pi + 1e-9:
         raise DataError(
             f"{label.path}: {keys.sub_point[0]} is {np.degrees(latitude):g} deg; wanted -90 to 90"
         )
-    if _stated_word(label, LATITUDE_WORDS, keys.latitude) == "planetographic":
+    if _read_word(label, LATITUDE_WORDS, keys.latitude) == "planetographic":
         equator, pole = np.mean(body.radii_m[:2]), body.radii_m[2]
         # the angle of the point's direction, from that of the ellipsoid's normal
         latitude = np.arctan2(pole**2 * np.sin(latitude), equator**2 * np.cos(latitude))
-    if _stated_word(label, LONGITUDE_WORDS, keys.longitude) == "west":
+    if _read_word(label, LONGITUDE_WORDS, keys.longitude) == "west":
         longitude = -longitude
     range_m = 1.0
     if keys.range:
         range_m = float(label.numbers((keys.range,), "length", keys.unit_m)[0])
         if not range_m > 0.0:
             raise DataError(f"{label.path}: {keys.range} is {range_m:g} m; wanted a distance > 0")
-    return range_m * _direction(longitude, latitude)
+    return range_m * _compute_direction(longitude, latitude)
 
 
-def _direction(longitude: float, latitude: float) -> FloatArray:
+def _compute_direction(longitude: float, latitude: float) -> FloatArray:
     """The unit vector (3,) of two angles, rad."""
     return np.array([np.cos(latitude) * np.cos(longitude),
                      np.cos(latitude) * np.sin(longitude), np.sin(latitude)])  # fmt: skip
 
 
-def _stated_word(label: ArchiveLabel, words: Mapping[str, Mapping[str, str]], default: str) -> str:
+def _read_word(label: ArchiveLabel, words: Mapping[str, Mapping[str, str]], default: str) -> str:
     """Return the meaning of the first stated keyword of several, else the table's default."""
     for key, meanings in words.items():
         if label.is_stated(key):
@@ -251,7 +251,7 @@ def _stated_word(label: ArchiveLabel, words: Mapping[str, Mapping[str, str]], de
     return default
 
 
-def _angles(label: ArchiveLabel, keys: Keys, count: int) -> FloatArray:
+def _read_angles(label: ArchiveLabel, keys: Keys, count: int) -> FloatArray:
     """Angles (count,), rad, of keywords. Raises DataError for other counts or too large ones."""
     angles = label.numbers(keys, "angle", DEGREE)
     if angles.shape != (count,):
@@ -281,9 +281,9 @@ def read_attitude(label: ArchiveLabel, keys: AttitudeKeys) -> Rotation:
             raise DataError(f"{label.path}: its quaternion has no length of 1")
         return Rotation.from_quat(numbers, scalar_first=True)
     if keys.corners:
-        return _between_corners(label, keys.corners)
-    ascension, declination, clock = _angles(label, keys.boresight, 3)
-    axis = _direction(ascension, declination)
+        return _fit_corners(label, keys.corners)
+    ascension, declination, clock = _read_angles(label, keys.boresight, 3)
+    axis = _compute_direction(ascension, declination)
     east = np.array([-np.sin(ascension), np.cos(ascension), 0.0])
     north = np.cross(axis, east)
     # north stands `clock` right of the top; east, seen from inside the sphere, a quarter left of it
@@ -291,10 +291,12 @@ def read_attitude(label: ArchiveLabel, keys: AttitudeKeys) -> Rotation:
     return Rotation.from_matrix(np.array([np.cross(-up, axis), -up, axis]))
 
 
-def _between_corners(label: ArchiveLabel, keys: Keys) -> Rotation:
+def _fit_corners(label: ArchiveLabel, keys: Keys) -> Rotation:
     """The attitude of a picture whose corners lie in stated directions about its boresight."""
-    angles = _angles(label, keys, 8).reshape(4, 2)
-    upper_left, upper_right, lower_right, lower_left = (_direction(*pair) for pair in angles)
+    angles = _read_angles(label, keys, 8).reshape(4, 2)
+    upper_left, upper_right, lower_right, lower_left = (
+        _compute_direction(*pair) for pair in angles
+    )
     right = upper_right + lower_right - upper_left - lower_left
     down = lower_left + lower_right - upper_left - upper_right
     forward = upper_left + upper_right + lower_right + lower_left

@@ -41,7 +41,7 @@ CODING_KEYWORDS = ("DATA_CONVERSION_TYPE", "DataConversionType", "MESS:COMP12_8"
 _BOTTOM_FIRST = ("UP", "BOTTOM TO TOP")  # of PDS3 and PDS4
 
 
-def stated_specials(path: Path, text: Callable[[str], str], dtype: str) -> SpecialValues | None:
+def read_specials(path: Path, text: Callable[[str], str], dtype: str) -> SpecialValues | None:
     """Special values that a label names; None for none.
 
     text   gives a keyword's value, empty where it is not stated
@@ -72,7 +72,7 @@ def is_bottom_first(text: Callable[[str], str]) -> bool:
     return stated.upper() in _BOTTOM_FIRST
 
 
-def stated_keywords(text: Callable[[str], str], *, coded: bool) -> list[tuple[str, str]]:
+def collect_keywords(text: Callable[[str], str], *, coded: bool) -> list[tuple[str, str]]:
     """Collect the stated KEYWORDS of a label, without coding where the camera file has it."""
     names = [name for name in KEYWORDS if not (coded and name in CODING_KEYWORDS)]
     return [(name, value) for name in names if (value := text(name))]

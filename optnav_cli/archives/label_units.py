@@ -72,7 +72,7 @@ def _find_simple(text: str) -> tuple[Quantity, float] | None:
     return None
 
 
-def unit_of_comment(comment: str) -> str:
+def extract_unit(comment: str) -> str:
     """The unit that a FITS comment states, or "".
 
     A unit is what stands in brackets at the comment's beginning (FITS standard 4.0, section 4.3.2),

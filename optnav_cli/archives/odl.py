@@ -49,7 +49,7 @@ def read_statements(text: str) -> list[Statement]:
     return list(_Reader(text.replace("\r\n", "\n").replace("\r", "\n")).statements())
 
 
-def _tokens(text: str) -> Iterator[_Token]:
+def _split_tokens(text: str) -> Iterator[_Token]:
     start, line, last_comment_end = 0, 1, text.rfind("*/")
     while start < len(text):
         match = _TOKEN.match(text, start)
@@ -71,7 +71,7 @@ class _Reader:
     """Reads statement by statement, two tokens ahead."""
 
     def __init__(self, text: str) -> None:
-        self._source = _tokens(text)
+        self._source = _split_tokens(text)
         self._next, self._second = self._read(), self._read()
 
     def _read(self) -> _Token:
@@ -101,7 +101,7 @@ class _Reader:
                         "VALUE, or END after the last one"
                     )
                 continue
-            texts, units = self._values(token)
+            texts, units = self._read_values(token)
             if key in _OPENING:
                 blocks = [*blocks, texts[0].upper() if texts else ""]
             elif key in _CLOSING:
@@ -109,7 +109,7 @@ class _Reader:
             else:
                 yield Statement(tuple(blocks), key, texts, units)
 
-    def _values(self, key: _Token) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    def _read_values(self, key: _Token) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """The values after a keyword, and their units."""
         self._take()  # the equals sign
         first = self._next
@@ -117,12 +117,12 @@ class _Reader:
         if first.kind == "end" or self._is_assignment() or (is_closing and first.line > key.line):
             return (), ()
         if first[:2] in (("mark", "("), ("mark", "{")):
-            elements = self._sequence()
+            elements = self._read_sequence()
         else:
-            elements = [self._scalar(first)]
+            elements = [self._read_scalar(first)]
         return tuple(text for text, _ in elements), tuple(unit for _, unit in elements)
 
-    def _scalar(self, first: _Token) -> tuple[str, str]:
+    def _read_scalar(self, first: _Token) -> tuple[str, str]:
         """A text or words to the end of their line, and the unit."""
         words: list[str] = []
         unit = ""
@@ -141,7 +141,7 @@ class _Reader:
             raise OdlError(f"line {first.line}: '{first.text[:40]}' is no value")
         return " ".join(" ".join(words).split()), unit
 
-    def _sequence(self) -> list[tuple[str, str]]:
+    def _read_sequence(self) -> list[tuple[str, str]]:
         """The elements of a sequence or set, those of sequences in it included."""
         sequence, line = _Sequence(), self._next.line
         while True:

@@ -36,7 +36,7 @@ def read_pds3_pixels(label: ArchiveLabel) -> NDArray[np.generic]:
     """
     path = label.path
     rows, columns = (_count(label, f"IMAGE.{key}", None) for key in ("LINES", "LINE_SAMPLES"))
-    layout = _layout(label)
+    layout = _find_layout(label)
     coding = label.text("IMAGE.ENCODING_TYPE") if label.is_stated("IMAGE.ENCODING_TYPE") else ""
     bands = _count(label, "IMAGE.BANDS", 1)
     if coding.upper() not in _PLAIN or bands != 1:
@@ -45,7 +45,7 @@ def read_pds3_pixels(label: ArchiveLabel) -> NDArray[np.generic]:
             "uncompressed band: name a converted picture with --picture"
         )
     before, after = (_count(label, f"IMAGE.LINE_{key}_BYTES", 0) for key in ("PREFIX", "SUFFIX"))
-    file, start = _pointer(label)
+    file, start = _read_pointer(label)
     raw = read_input(file, limit=MAX_BYTES)
     row_bytes = before + columns * layout.itemsize + after
     if len(raw) < start + rows * row_bytes:
@@ -55,7 +55,7 @@ def read_pds3_pixels(label: ArchiveLabel) -> NDArray[np.generic]:
     return used.view(layout).astype(layout.newbyteorder("="))
 
 
-def _layout(label: ArchiveLabel) -> np.dtype[np.generic]:
+def _find_layout(label: ArchiveLabel) -> np.dtype[np.generic]:
     kind = label.text("IMAGE.SAMPLE_TYPE").upper()
     bits = label.text("IMAGE.SAMPLE_BITS")
     form = _KINDS.get(kind, "")
@@ -76,7 +76,7 @@ def _count(label: ArchiveLabel, key: str, default: int | None) -> int:
     return int(value)
 
 
-def _pointer(label: ArchiveLabel) -> tuple[Path, int]:
+def _read_pointer(label: ArchiveLabel) -> tuple[Path, int]:
     """The file that ^IMAGE points to and the byte of it where the pixels begin.
 
     A pointer is a record, counted from 1, or a byte with the unit <BYTES>; in the label's own file
@@ -86,7 +86,7 @@ def _pointer(label: ArchiveLabel) -> tuple[Path, int]:
     number = texts[-1] if texts[-1].isdigit() else "1"
     if len(texts) > 2 or (len(texts) == 2 and not texts[1].isdigit()) or len(number) > 12:
         raise DataError(f"{label.path}: ^IMAGE is {', '.join(texts)[:60]}, no file and record")
-    file = label.path if texts[0].isdigit() else _file_beside(label.path, texts[0])
+    file = label.path if texts[0].isdigit() else _find_file(label.path, texts[0])
     if units[-1].upper() in ("BYTES", "BYTE"):
         return file, int(number) - 1
     if units[-1]:
@@ -102,7 +102,7 @@ def _record_bytes(label: ArchiveLabel) -> int:
     return int(value)
 
 
-def _file_beside(path: Path, name: str) -> Path:
+def _find_file(path: Path, name: str) -> Path:
     """The file of a name in the folder of a label, in whatever letters it is written."""
     if Path(name).name != name:
         raise DataError(f"{path}: ^IMAGE names {name[:60]}; wanted a file beside the label")

@@ -26,7 +26,7 @@ def read_elements(path: Path, text: str) -> Iterator[tuple[str, str, str]]:
         root = ElementTree.fromstring(text.encode("utf-8"))
     except ElementTree.ParseError as error:
         raise DataError(f"{path}: is a damaged PDS4 label ({error})") from None
-    waiting = deque([(root, _tag(root), 0)])
+    waiting = deque([(root, _strip_namespace(root), 0)])
     while waiting:
         element, name, depth = waiting.popleft()
         if depth > MAX_DEPTH:
@@ -35,13 +35,13 @@ def read_elements(path: Path, text: str) -> Iterator[tuple[str, str, str]]:
             yield name, (element.text or "").strip(), element.get("unit", "").strip()
         seen: Counter[str] = Counter()
         for child in element:
-            tag = _tag(child)
+            tag = _strip_namespace(child)
             seen[tag] += 1
             index = f"[{seen[tag]}]" if seen[tag] > 1 else ""
             waiting.append((child, f"{name}/{tag}{index}", depth + 1))
 
 
-def _tag(element: ElementTree.Element) -> str:
+def _strip_namespace(element: ElementTree.Element) -> str:
     return element.tag.rpartition("}")[2] if isinstance(element.tag, str) else "comment"
 
 
@@ -56,11 +56,11 @@ def find_elements(values: Mapping[str, tuple[str, ...]], key: str) -> list[str]:
         for name in values
         if last in name
         and f"/{_INDEX.sub('', name)}".endswith(f"/{ends}")
-        and _meets_conditions(values, name, key)
+        and _has_conditions(values, name, key)
     ]
 
 
-def _meets_conditions(values: Mapping[str, tuple[str, ...]], name: str, key: str) -> bool:
+def _has_conditions(values: Mapping[str, tuple[str, ...]], name: str, key: str) -> bool:
     segments, wanted = name.split("/"), _SEGMENT.split(key)
     for number, segment in enumerate(wanted):
         base = "/".join(segments[: len(segments) - len(wanted) + number + 1])

@@ -13,21 +13,21 @@ from rasterio.errors import NotGeoreferencedWarning
 from catalog.arrays import BoolArray, FloatArray
 from catalog.errors import DataError
 from catalog.keywords import check_keywords
-from catalog.rasters import PICTURES, open_raster, reading_raster
+from catalog.rasters import PICTURES, handle_read_errors, open_raster
 from catalog.special_values import SpecialValues
 from optnav_cli.archives.frame import ImportTable
 from optnav_cli.archives.label_pixels import (
     KEYWORDS,
+    collect_keywords,
     is_bottom_first,
-    stated_keywords,
-    stated_specials,
+    read_specials,
 )
 from optnav_cli.archives.pds3_picture import read_pds3_pixels
 from optnav_cli.archives.source import ImportSource
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.fits_picture import find_unit, fits_shape, is_fits, read_fits
+from optnav_cli.frames.fits_picture import find_unit, get_fits_shape, is_fits, read_fits
 from optnav_cli.frames.full_scale import find_full_scale
-from optnav_cli.frames.raster_pixels import FULL_SCALE, mask_beside, read_raster, without_special
+from optnav_cli.frames.raster_pixels import FULL_SCALE, apply_special, find_mask, read_raster
 from optnav_cli.frames.stored_pixels import StoredPixels
 
 VIEWED = (".png", ".jpg", ".jpeg")  # made to be looked at, their first line uppermost
@@ -40,9 +40,9 @@ NO_VALUE = -1e30  # what ISIS and PDS write for pixels without a value is below
 def read_picture_shape(source: ImportSource, picture: Path) -> tuple[int, int]:
     """Read rows and columns of a picture. Raises DataError."""
     if is_fits(picture):
-        return fits_shape(find_unit(picture))
+        return get_fits_shape(find_unit(picture))
     try:
-        return _shape(picture)
+        return _read_shape(picture)
     except DataError:
         if source.label is None or source.kind != "pds3" or picture != source.path:
             raise
@@ -50,7 +50,7 @@ def read_picture_shape(source: ImportSource, picture: Path) -> tuple[int, int]:
     return rows, columns
 
 
-def put_picture(
+def store_picture(
     source: ImportSource,
     table: ImportTable,
     picture: Path,
@@ -64,15 +64,15 @@ def put_picture(
     flipped  whether the rows change their order
     """
     if picture.suffix.lower() in COPIED and not flipped:
-        _check_size(picture, _shape(picture), camera)
+        _check_size(picture, _read_shape(picture), camera)
         shutil.copyfile(picture, place)
-        mask = mask_beside(picture)
+        mask = find_mask(picture)
         if mask is not None:
             shutil.copyfile(mask, place.with_name(f"{place.name}.msk"))
         return []
-    named = stated_keywords(source.text, coded=camera.coding is not None)
+    named = collect_keywords(source.text, coded=camera.coding is not None)
     remarks = check_keywords(source.path, named, KEYWORDS)
-    pixels = _stored(source, table, picture, camera)
+    pixels = _read_stored(source, table, picture, camera)
     numbers = pixels.values.astype(np.float64)
     bad = np.zeros(numbers.shape, np.bool_) if pixels.missing is None else pixels.missing
     bad = bad | ~np.isfinite(numbers) | (numbers < NO_VALUE)
@@ -88,14 +88,14 @@ def put_picture(
                 "without sign"
             )
         kind = "uint16"
-        numbers, full = _rescaled(numbers, bad, full)
+        numbers, full = _rescale_counts(numbers, bad, full)
     numbers[bad] = 0.0
     if flipped:
         numbers, bad = numbers[::-1], bad[::-1]
     tags = {} if full is None else {FULL_SCALE: f"{full!r}"}
     profile = {"driver": "GTiff", "width": camera.width_px, "height": camera.height_px}
     with (
-        _quiet(),
+        _skip_warnings(),
         rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
         rasterio.open(place, "w", count=1, dtype=kind, compress="deflate", **profile) as to,
     ):
@@ -108,7 +108,7 @@ def put_picture(
     return remarks
 
 
-def _rescaled(
+def _rescale_counts(
     numbers: FloatArray, bad: BoolArray, full: float | None
 ) -> tuple[FloatArray, float | None]:
     """Numbers brought to counts of 16 bits, and full scale with them."""
@@ -147,19 +147,19 @@ def is_flipped(
     return table.line_order == "bottom_first", []
 
 
-def _stored(
+def _read_stored(
     source: ImportSource, table: ImportTable, picture: Path, camera: Camera
 ) -> StoredPixels:
     """The pixels of a source's picture. Raises DataError."""
     if is_fits(picture):
         unit = find_unit(picture, str(table.extension))
         if unit.is_picture:
-            _check_size(picture, fits_shape(unit), camera)
+            _check_size(picture, get_fits_shape(unit), camera)
         return read_fits(picture, unit)
     try:
-        with open_raster(picture, PICTURES) as dataset, reading_raster(picture, siblings=False):
+        with open_raster(picture, PICTURES) as dataset, handle_read_errors(picture, siblings=False):
             _check_size(picture, dataset.shape, camera)
-            special = stated_specials(source.path, source.text, dataset.dtypes[0])
+            special = read_specials(source.path, source.text, dataset.dtypes[0])
             return read_raster(picture, dataset, camera.channel, special)
     except DataError:
         if source.label is None or source.kind != "pds3" or picture != source.path:
@@ -168,13 +168,13 @@ def _stored(
     values = read_pds3_pixels(source.label)
     _check_size(picture, (values.shape[0], values.shape[1]), camera)
     kind = values.dtype.name
-    special = stated_specials(source.path, source.text, kind) or SpecialValues()
-    values, missing, full = without_special(values, np.zeros((1, 1), np.bool_), special)
+    special = read_specials(source.path, source.text, kind) or SpecialValues()
+    values, missing, full = apply_special(values, np.zeros((1, 1), np.bool_), special)
     return StoredPixels(values, kind, missing, full)
 
 
-def _shape(path: Path) -> tuple[int, int]:
-    with open_raster(path, PICTURES) as dataset, reading_raster(path, siblings=False):
+def _read_shape(path: Path) -> tuple[int, int]:
+    with open_raster(path, PICTURES) as dataset, handle_read_errors(path, siblings=False):
         rows, columns = dataset.shape
         return rows, columns
 
@@ -189,7 +189,7 @@ def _check_size(picture: Path, shape: tuple[int, int], camera: Camera) -> None:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _skip_warnings() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         yield

@@ -7,7 +7,7 @@ from pathlib import Path
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from optnav_cli.archives.isis_cube import Label, read_cube_label
-from optnav_cli.archives.label import ArchiveLabel, format_of, read_label
+from optnav_cli.archives.label import ArchiveLabel, detect_format, read_label
 from optnav_cli.frames.tables import TIMES
 
 
@@ -46,7 +46,7 @@ def read_sources(path: Path) -> Iterator[ImportSource]:
         for row in TIMES.rows(path):
             yield ImportSource(path, "times", utc=row["utc"], file=row["file"], where=row.where)
         return
-    kind = format_of(path)
+    kind = detect_format(path)
     if kind is not None:
         yield ImportSource(path, kind, label=read_label(path, kind))
         return

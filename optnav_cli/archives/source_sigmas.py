@@ -66,7 +66,7 @@ _ORBIT = {
 _ATTITUDE_DEG = {"reconstructed": 0.05, "": 0.1, "predicted": 0.2}
 
 
-def cube_sigmas(position: str, pointing: str) -> SourceSigmas:
+def choose_cube_sigmas(position: str, pointing: str) -> SourceSigmas:
     """Defaults of an ISIS cube by what spiceinit calls its orbit and pointing."""
     return SourceSigmas(
         f"of a cube whose orbit is {position or 'not said how made'}, whose pointing "
@@ -76,14 +76,15 @@ def cube_sigmas(position: str, pointing: str) -> SourceSigmas:
     )
 
 
-def kernel_sigmas(orbit: Quality, attitude: Quality) -> SourceSigmas:
+def choose_kernel_sigmas(orbit: Quality, attitude: Quality) -> SourceSigmas:
     """Defaults of SPICE kernels by what their names and comments call them."""
     return SourceSigmas(
-        f"of an orbit kernel {_called(orbit)}, and attitudes {_called(attitude)}",
+        f"of an orbit kernel {_describe_quality(orbit)}, "
+        f"and attitudes {_describe_quality(attitude)}",
         _ORBIT[orbit],
         _ATTITUDE_DEG[attitude],
     )
 
 
-def _called(quality: Quality) -> str:
+def _describe_quality(quality: Quality) -> str:
     return f"called {quality}" if quality else "that says neither reconstructed nor predicted"

@@ -7,7 +7,7 @@ MIN_CUT = 8  # letters of a target's name that is cut
 MIN_WITHIN = 4  # of a name inside a word, as in "433eros": "io" is in "dione"
 
 
-def body_of_target(target: str, names: Sequence[str]) -> str:
+def find_target_body(target: str, names: Sequence[str]) -> str:
     """The body that a label's target names, or nothing.
 
     target  lower case: "101955 bennu", "67p/churyumov-gerasimenko", and cut to eight letters by

@@ -36,20 +36,20 @@ def read_pairs(path: Path) -> list[Pair]:
             size = re.match(rb"LBLSIZE=\s*(\d{1,7})\s", head)
             if size is None:
                 raise DataError(f"{path}: is no VICAR picture: LBLSIZE is no number")
-            pairs = list(_pairs(path, head[: int(size[1])]))
-            end = _second_label(path, pairs, int(size[1]))
+            pairs = list(_parse_pairs(path, head[: int(size[1])]))
+            end = _find_second_label(path, pairs, int(size[1]))
             if end is not None:
                 file.seek(end)
                 again = re.match(rb"LBLSIZE=\s*(\d{1,7})\s", tail := file.read(MAX_LABEL))
                 if again is None:
                     raise DataError(f"{path}: its second label is missing: the file is cut short")
-                pairs += _pairs(path, tail[: int(again[1])])
+                pairs += _parse_pairs(path, tail[: int(again[1])])
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from None
     return pairs
 
 
-def _pairs(path: Path, raw: bytes) -> Iterator[Pair]:
+def _parse_pairs(path: Path, raw: bytes) -> Iterator[Pair]:
     text = raw.decode("latin-1").rstrip("\0 \r\n\t")
     start, group = 0, ""
     while start < len(text):
@@ -60,19 +60,21 @@ def _pairs(path: Path, raw: bytes) -> Iterator[Pair]:
                 "KEYWORD=VALUE"
             )
         key, value, start = match[1].upper(), match[2], match.end()
-        texts = tuple(map(_plain, _ELEMENT.findall(value[1:-1]) if value[0] == "(" else [value]))
+        texts = tuple(
+            map(_strip_quotes, _ELEMENT.findall(value[1:-1]) if value[0] == "(" else [value])
+        )
         if key in ("PROPERTY", "TASK"):
             group = texts[0].upper() if texts else ""
         else:
             yield Pair(group, key, texts)
 
 
-def _plain(text: str) -> str:
+def _strip_quotes(text: str) -> str:
     inner = text[1:-1].replace("''", "'") if text[:1] == "'" else text
     return inner.strip()
 
 
-def _second_label(path: Path, pairs: list[Pair], label_bytes: int) -> int | None:
+def _find_second_label(path: Path, pairs: list[Pair], label_bytes: int) -> int | None:
     """Where the label behind the picture begins; None where there is none."""
     stated = {pair.key: pair.texts[0] for pair in reversed(pairs) if pair.texts and not pair.group}
     if stated.get("EOL", "0") != "1":

@@ -11,7 +11,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
-from catalog.files import MANIFEST, replacing_folder
+from catalog.files import MANIFEST, replace_folder
 from catalog.geometry.rotations import ARCSEC
 from catalog.places import check_apart
 from optnav_cli.calibration.adjusted_folder import (
@@ -110,7 +110,7 @@ def adjust_runs(
         _compute_stage_rms(adjustment, stages),
         _compute_misfit(frames, adjustment, stages, focal_px),
     )
-    with replacing_folder(output, KIND) as work:
+    with replace_folder(output, KIND) as work:
         write_adjusted(work, first, rows, cameras, result, stages)
         write_manifest(
             work,

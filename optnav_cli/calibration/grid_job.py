@@ -10,9 +10,9 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
-from catalog.files import hash_file, replacing_folder
+from catalog.files import hash_file, replace_folder
 from catalog.places import check_apart
-from catalog.progress import Progress, logged_stage
+from catalog.progress import Progress, log_stage
 from optnav_cli.calibration.dots import GridDots, Pattern, find_grid
 from optnav_cli.calibration.grid_calibration import (
     GridCalibration,
@@ -182,7 +182,7 @@ def calibrate_grid(
     """
     started = datetime.now(UTC)
     check_apart(output, list(given.pictures))
-    with logged_stage(STAGE):
+    with log_stage(STAGE):
         files, dots, skipped, blank = [], [], [], None
         with progress.stage(STAGE, len(given.pictures), "picture") as bar:
             for path in given.pictures:
@@ -209,7 +209,7 @@ def calibrate_grid(
         calibration = calibrate_by_grids(blank, views, given.spacing_mm, kinds, distance)
         _check_distance(calibration, blank, views, given, kinds)
         result = GridResult(calibration, tuple(files), tuple(dots), tuple(skipped))
-        with replacing_folder(output, KIND) as work:
+        with replace_folder(output, KIND) as work:
             _write(work, result)
             write_manifest(
                 work,

@@ -16,10 +16,10 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError, NothingToDoError
-from catalog.files import hash_file, replacing_folder
+from catalog.files import hash_file, replace_folder
 from catalog.geometry.rotations import ARCSEC
 from catalog.places import check_apart
-from catalog.progress import Progress, logged_stage
+from catalog.progress import Progress, log_stage
 from optnav_cli.calibration.adjust_job import collect_rows, compute_stated_residuals
 from optnav_cli.calibration.adjusted_folder import AdjustedRow, StatedResiduals, correct_camera
 from optnav_cli.calibration.adjustment import AdjustedFrame, Adjustment, adjust
@@ -189,7 +189,7 @@ def calibrate_folder(
     check_apart(output, [given.pictures, *given.catalogs])
     folder = read_folder(given.pictures, given.kernels)
     _check_stated(folder, kinds)
-    with logged_stage(STAGE), open_workspace(output, KIND) as workspace:
+    with log_stage(STAGE), open_workspace(output, KIND) as workspace:
         cameras: Mapping[str, Camera] = folder.cameras
         for number in range(PASSES):
             wide = workspace.folder / f"pictures-{number}"
@@ -203,7 +203,7 @@ def calibrate_folder(
                 c.name: correct_camera(c, result.adjustment) for c in result.cameras.values()
             }
             cameras = {**folder.cameras, **corrected}
-        with replacing_folder(output, KIND) as work:
+        with replace_folder(output, KIND) as work:
             write_calibration(work, rows, result, stages)
             write_manifest(
                 work,
@@ -319,7 +319,7 @@ def _write_wide(
         sigma = float(np.hypot(frame.attitude_sigma_rad or 0.0, angle))
         turn, camera = frame.camera_from_body, cameras[frame.camera]
         if turn is not None:
-            turn = camera.aligned(folder.cameras[frame.camera].stated(turn))
+            turn = camera.apply_boresight(folder.cameras[frame.camera].remove_boresight(turn))
         changed = replace(frame, camera_from_body=turn, position_sigma_m=sigma_m)
         frames.append(replace(changed, attitude_sigma_rad=sigma))
         target = picture_path(place, frame.file)

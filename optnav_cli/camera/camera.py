@@ -125,18 +125,18 @@ class Camera:
     def with_lens(self, factor: float, shift_px: ArrayLike, k1: float) -> "Camera":
         """Return the camera with focal lengths scaled, principal point moved (2,), k1 added to."""
         x_px, y_px = np.asarray(shift_px, dtype=np.float64)
-        return _with_lens(self, float(factor), float(x_px), float(y_px), float(k1))
+        return _change_lens(self, float(factor), float(x_px), float(y_px), float(k1))
 
     @property
     def boresight(self) -> Rotation:
         """The camera's turn from what attitudes of files state."""
         return Rotation.from_rotvec(np.array(self.boresight_arcsec or (0.0, 0.0, 0.0)) * ARCSEC)
 
-    def aligned(self, stated: Rotation) -> Rotation:
+    def apply_boresight(self, stated: Rotation) -> Rotation:
         """The camera's attitude where files state this one."""
         return stated if self.boresight_arcsec is None else self.boresight * stated
 
-    def stated(self, attitude: Rotation) -> Rotation:
+    def remove_boresight(self, attitude: Rotation) -> Rotation:
         """Return the attitude that files state for this attitude of the camera."""
         return attitude if self.boresight_arcsec is None else self.boresight.inv() * attitude
 
@@ -149,14 +149,14 @@ class Camera:
         parameters[lens.ASPECT] = self.aspect
         if self.model == "pinhole":
             parameters[lens.TERMS : lens.TERMS + len(more)] = more
-            tilt = _tilt(*tilts) if tilts else np.eye(3)
+            tilt = _compute_tilt(*tilts) if tilts else np.eye(3)
             parameters[lens.TILT : lens.TILT + 9] = tilt.ravel()
             parameters[lens.LEVEL :] = np.linalg.inv(tilt).ravel()
             model = lens.OPENCV if any(more) or any(tilts) else lens.PINHOLE
-            parameters[lens.LIMIT] = lens.pinhole_limit(parameters)
+            parameters[lens.LIMIT] = lens.find_pinhole_limit(parameters)
         else:
             terms = self.coefficients or (0.0, 0.0, 0.0, 0.0)
-            model, parameters[lens.LIMIT] = lens.FISHEYE, lens.fisheye_limit(terms)
+            model, parameters[lens.LIMIT] = lens.FISHEYE, lens.find_fisheye_limit(terms)
         circle = self.image_circle_radius_px
         parameters[lens.CIRCLE] = math.inf if circle is None else circle
         return model, parameters
@@ -169,7 +169,7 @@ class Camera:
         """
         if self._lens[0] == lens.OPENCV:
             return self.project_with_jacobian(points_camera)[0]
-        points, shape = _rows(points_camera, 3)
+        points, shape = _flatten_rows(points_camera, 3)
         pixels = np.empty((len(points), 2))
         lens.project_points(*self._lens, points, pixels)
         return pixels.reshape(*shape, 2)
@@ -184,7 +184,7 @@ class Camera:
         if self._lens[0] == lens.OPENCV:
             offsets = np.asarray(points_body, dtype=np.float64) - np.asarray(position)
             return self.project(offsets @ np.asarray(camera_from_body).T)
-        points, shape = _rows(points_body, 3)
+        points, shape = _flatten_rows(points_body, 3)
         pixels = np.empty((len(points), 2))
         lens.project_body_points(
             *self._lens,
@@ -197,7 +197,7 @@ class Camera:
 
     def project_with_jacobian(self, points_camera: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Pixels (..., 2) and derivatives (..., 2, 3) by the points (..., 3), camera frame."""
-        points, shape = _rows(points_camera, 3)
+        points, shape = _flatten_rows(points_camera, 3)
         pixels, jacobians = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
         model, parameters = self._lens
         if model == lens.OPENCV:
@@ -208,9 +208,9 @@ class Camera:
 
     def unproject(self, pixels: ArrayLike) -> FloatArray:
         """Unit rays (..., 3), camera frame, of pixels (..., 2); NaN where no ray leads there."""
-        rows, shape = _rows(pixels, 2)
+        rows, shape = _flatten_rows(pixels, 2)
         rays = np.empty((len(rows), 3))
-        lens.rays_of_pixels(*self._lens, rows, rays)
+        lens.invert_pixels(*self._lens, rows, rays)
         return rays.reshape(*shape, 3)
 
     def border(self, along: int) -> FloatArray:
@@ -244,7 +244,7 @@ class Camera:
         return inside
 
 
-def _rows(values: ArrayLike, width: int) -> tuple[FloatArray, tuple[int, ...]]:
+def _flatten_rows(values: ArrayLike, width: int) -> tuple[FloatArray, tuple[int, ...]]:
     array = np.asarray(values, dtype=np.float64)
     if array.shape[-1:] != (width,):
         raise ValueError(f"expected an array (..., {width}), got {array.shape}")
@@ -253,7 +253,7 @@ def _rows(values: ArrayLike, width: int) -> tuple[FloatArray, tuple[int, ...]]:
 
 # where the fold of a distortion lies takes 10 ms to find, and all frames of a step have one lens
 @lru_cache(maxsize=64)
-def _with_lens(camera: Camera, factor: float, x_px: float, y_px: float, k1: float) -> Camera:
+def _change_lens(camera: Camera, factor: float, x_px: float, y_px: float, k1: float) -> Camera:
     x0_px, y0_px = camera.principal_point_px
     moved = camera.with_focal_factor(factor)
     moved = replace(moved, principal_point_px=(x0_px + x_px, y0_px + y_px))
@@ -267,7 +267,7 @@ def _with_lens(camera: Camera, factor: float, x_px: float, y_px: float, k1: floa
     return replace(moved, coefficients=(first + k1, *others))
 
 
-def _tilt(tau_x: float, tau_y: float) -> FloatArray:
+def _compute_tilt(tau_x: float, tau_y: float) -> FloatArray:
     """Return the map (3, 3) of the picture plane for a sensor turned about x, then about y, rad.
 
     As OpenCV defines its tilted sensor.

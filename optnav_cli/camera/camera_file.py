@@ -78,10 +78,10 @@ def load_camera(path: str | Path) -> Camera:
     _check_picture(settings, where)
     _check_lens(settings, where)
     _check_blur(settings, where)
-    focal_px = _focal_length_px(settings, where)
+    focal_px = _find_focal_length_px(settings, where)
     values = msgspec.structs.asdict(settings) | {
         "focal_length_px": focal_px,
-        "focal_length_y_px": _focal_length_y_px(settings, focal_px, where),
+        "focal_length_y_px": _find_focal_length_y_px(settings, focal_px, where),
         "extension": str(settings.extension),
         "coding": settings.coding,
     }
@@ -153,10 +153,10 @@ def camera_toml(camera: Camera) -> str:
     if camera.boresight_arcsec is not None:
         turns = ", ".join(repr(float(angle)) for angle in camera.boresight_arcsec)
         lines.append(f"boresight_arcsec = [{turns}]")
-    return "\n".join([*lines, *_picture_lines(camera)]) + "\n" + _coding_toml(camera)
+    return "\n".join([*lines, *_format_picture_keys(camera)]) + "\n" + _format_coding(camera)
 
 
-def _picture_lines(camera: Camera) -> list[str]:
+def _format_picture_keys(camera: Camera) -> list[str]:
     """Keys of how a camera's pictures are to be read."""
     lines = []
     if camera.saturation_counts is not None:
@@ -171,8 +171,8 @@ def _picture_lines(camera: Camera) -> list[str]:
     return lines
 
 
-def _coding_toml(camera: Camera) -> str:
-    return "" if camera.coding is None else camera.coding.toml()
+def _format_coding(camera: Camera) -> str:
+    return "" if camera.coding is None else camera.coding.format_toml()
 
 
 def _check_picture(settings: CameraFileSettings, where: str) -> None:
@@ -183,7 +183,7 @@ def _check_picture(settings: CameraFileSettings, where: str) -> None:
         )
     if not is_plain_name(settings.name):
         raise ConfigError(f"{where}: name is '{settings.name}'; wanted a plain word")
-    if settings.coding is not None and (problem := settings.coding.problem()):
+    if settings.coding is not None and (problem := settings.coding.find_problem()):
         raise ConfigError(f"{where}: [coding]: {problem}")
     if settings.valid_area_px is not None:
         left, top, right, bottom = settings.valid_area_px
@@ -232,7 +232,7 @@ def _check_blur(settings: CameraFileSettings, where: str) -> None:
         )
 
 
-def _focal_length_px(settings: CameraFileSettings, where: str) -> float:
+def _find_focal_length_px(settings: CameraFileSettings, where: str) -> float:
     pixels, length_mm = settings.focal_length_px, settings.focal_length_mm
     pitch_um = settings.pixel_pitch_um
     if (length_mm is None) != (pitch_um is None):
@@ -261,7 +261,9 @@ def _focal_length_px(settings: CameraFileSettings, where: str) -> float:
     return from_length if pixels is None else pixels
 
 
-def _focal_length_y_px(settings: CameraFileSettings, focal_px: float, where: str) -> float | None:
+def _find_focal_length_y_px(
+    settings: CameraFileSettings, focal_px: float, where: str
+) -> float | None:
     """The focal length along y; None where pixels are square."""
     along_y, pitch, pitch_y = (
         settings.focal_length_y_px,

@@ -28,7 +28,7 @@ class Coding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     counts: tuple[Number, ...] = ()
     linear: tuple[Number, ...] = ()
 
-    def problem(self) -> str:
+    def find_problem(self) -> str:
         """Describe what is wrong with the settings, with the remedy; empty for nothing."""
         if (self.gamma is None) == (self.curve == "gamma"):
             return 'gamma belongs to curve = "gamma", and that wants it'
@@ -56,7 +56,7 @@ class Coding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
         powered: FloatArray = full * share**power
         return powered
 
-    def toml(self) -> str:
+    def format_toml(self) -> str:
         """The section of a camera file."""
         lines = ["", "[coding]", f'curve = "{self.curve}"']
         if self.gamma is not None:

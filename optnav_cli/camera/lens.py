@@ -35,7 +35,7 @@ BLOCK = 512  # points that are projected side by side
 
 
 @kernel
-def _brown(p: FloatArray, a: float, b: float) -> tuple[float, float, float, float, float]:
+def _distort_brown(p: FloatArray, a: float, b: float) -> tuple[float, float, float, float, float]:
     """Distorted x, y of undistorted a, b, and the symmetric derivative xx, xy, yy."""
     k1, k2, p1, p2, k3 = p[3], p[4], p[5], p[6], p[7]
     s = a * a + b * b
@@ -50,7 +50,9 @@ def _brown(p: FloatArray, a: float, b: float) -> tuple[float, float, float, floa
 
 
 @kernel
-def _opencv(p: FloatArray, a: float, b: float) -> tuple[float, float, float, float, float, float]:
+def _distort_opencv(
+    p: FloatArray, a: float, b: float
+) -> tuple[float, float, float, float, float, float]:
     """Distorted x, y of undistorted a, b before the tilt, and derivatives xa, xb, ya, yb."""
     k1, k2, p1, p2, k3 = p[3], p[4], p[5], p[6], p[7]
     k4, k5, k6, s1, s2, s3, s4 = p[11], p[12], p[13], p[14], p[15], p[16], p[17]
@@ -69,7 +71,7 @@ def _opencv(p: FloatArray, a: float, b: float) -> tuple[float, float, float, flo
 
 
 @kernel
-def _tilted(p: FloatArray, start: int, x: float, y: float) -> tuple[float, float, float]:
+def _tilt_point(p: FloatArray, start: int, x: float, y: float) -> tuple[float, float, float]:
     """A point of the picture plane turned by the nine parameters from `start` on, and its depth."""
     depth = p[start + 6] * x + p[start + 7] * y + p[start + 8]
     u = (p[start] * x + p[start + 1] * y + p[start + 2]) / depth
@@ -78,7 +80,7 @@ def _tilted(p: FloatArray, start: int, x: float, y: float) -> tuple[float, float
 
 
 @kernel
-def _fisheye_radius(p: FloatArray, angle: float) -> tuple[float, float]:
+def _compute_fisheye_radius(p: FloatArray, angle: float) -> tuple[float, float]:
     """Distance from the principal point in focal lengths, and its derivative."""
     t = angle * angle
     k1, k2, k3, k4 = p[3], p[4], p[5], p[6]
@@ -88,7 +90,7 @@ def _fisheye_radius(p: FloatArray, angle: float) -> tuple[float, float]:
 
 
 @kernel
-def _off_axis(across: float, z: float) -> float:
+def _compute_off_axis(across: float, z: float) -> float:
     """atan2 of across >= 0 and z, by Cephes' rational function: no call, so that loops vectorise.
 
     Source: S. L. Moshier, Cephes Math Library, atan.c; relative error below 2e-16.
@@ -109,21 +111,21 @@ def _off_axis(across: float, z: float) -> float:
 
 
 @kernel
-def _fisheye_scale(p: FloatArray, across2: float, z: float) -> float:
+def _compute_fisheye_scale(p: FloatArray, across2: float, z: float) -> float:
     """Focal lengths from the principal point for each unit across the axis; NaN beyond the limit.
 
     across2  squared distance from the axis
     """
     across = math.sqrt(across2)
-    angle = _off_axis(across, z)
-    radius, _ = _fisheye_radius(p, angle)
+    angle = _compute_off_axis(across, z)
+    radius, _ = _compute_fisheye_radius(p, angle)
     scale = radius / across if across > 0.0 else 1.0 / z
     seen = angle <= p[LIMIT] and (across > 0.0 or z > 0.0)
     return scale if seen else math.nan
 
 
 @kernel
-def _pixel(model: int, p: FloatArray, x: float, y: float, z: float) -> tuple[float, float]:
+def _project_point(model: int, p: FloatArray, x: float, y: float, z: float) -> tuple[float, float]:
     """Pixel of one point in the camera frame, through a pinhole or a fisheye."""
     if model == PINHOLE:
         if not z > 0.0:
@@ -131,9 +133,9 @@ def _pixel(model: int, p: FloatArray, x: float, y: float, z: float) -> tuple[flo
         u, v = x / z, y / z
         if not u * u + v * v <= p[LIMIT]:
             return math.nan, math.nan
-        u, v, _, _, _ = _brown(p, u, v)
+        u, v, _, _, _ = _distort_brown(p, u, v)
     else:
-        scale = _fisheye_scale(p, x * x + y * y, z)
+        scale = _compute_fisheye_scale(p, x * x + y * y, z)
         u, v = scale * x, scale * y
     u, v = p[0] * u, p[0] * v
     if not u * u + v * v <= p[CIRCLE] * p[CIRCLE]:
@@ -142,15 +144,15 @@ def _pixel(model: int, p: FloatArray, x: float, y: float, z: float) -> tuple[flo
 
 
 @kernel
-def _opencv_pixel(p: FloatArray, x: float, y: float, z: float) -> tuple[float, float]:
+def _project_opencv_point(p: FloatArray, x: float, y: float, z: float) -> tuple[float, float]:
     """Pixel of one point in the camera frame, through a pinhole with all terms."""
     if not z > 0.0:
         return math.nan, math.nan
     u, v = x / z, y / z
     if not u * u + v * v <= p[LIMIT]:
         return math.nan, math.nan
-    u, v, _, _, _, _ = _opencv(p, u, v)
-    u, v, _ = _tilted(p, TILT, u, v)
+    u, v, _, _, _, _ = _distort_opencv(p, u, v)
+    u, v, _ = _tilt_point(p, TILT, u, v)
     u, v = p[0] * u, p[0] * v
     if u * u + v * v > p[CIRCLE] * p[CIRCLE]:
         return math.nan, math.nan
@@ -158,11 +160,11 @@ def _opencv_pixel(p: FloatArray, x: float, y: float, z: float) -> tuple[float, f
 
 
 @kernel
-def _opencv_derivatives(p: FloatArray, x: float, y: float, z: float) -> Derivatives:
-    """Compute `_derivatives` of a pinhole with all terms."""
+def _differentiate_opencv(p: FloatArray, x: float, y: float, z: float) -> Derivatives:
+    """Compute `_differentiate_pixel` of a pinhole with all terms."""
     a, b = x / z, y / z
-    u, v, ua, ub, va, vb = _opencv(p, a, b)
-    u, v, depth = _tilted(p, TILT, u, v)
+    u, v, ua, ub, va, vb = _distort_opencv(p, a, b)
+    u, v, depth = _tilt_point(p, TILT, u, v)
     # of the tilt: each row less the point's share of the depth's row
     t00, t01 = (p[18] - u * p[24]) / depth, (p[19] - u * p[25]) / depth
     t10, t11 = (p[21] - v * p[24]) / depth, (p[22] - v * p[25]) / depth
@@ -173,7 +175,7 @@ def _opencv_derivatives(p: FloatArray, x: float, y: float, z: float) -> Derivati
 
 
 @kernel
-def _derivatives(model: int, p: FloatArray, x: float, y: float, z: float) -> Derivatives:
+def _differentiate_pixel(model: int, p: FloatArray, x: float, y: float, z: float) -> Derivatives:
     """Derivatives of the pixel: x by x, y, z, then y by x, y, z; px per unit of the point.
 
     As if pixels were square.
@@ -181,13 +183,13 @@ def _derivatives(model: int, p: FloatArray, x: float, y: float, z: float) -> Der
     f = p[0]
     if model == PINHOLE:
         a, b = x / z, y / z
-        _, _, xx, xy, yy = _brown(p, a, b)
+        _, _, xx, xy, yy = _distort_brown(p, a, b)
         g = f / z
         return g * xx, g * xy, -g * (xx * a + xy * b), g * xy, g * yy, -g * (xy * a + yy * b)
     squared = x * x + y * y
     across = math.sqrt(squared)
     range2 = squared + z * z
-    radius, slope = _fisheye_radius(p, _off_axis(across, z))
+    radius, slope = _compute_fisheye_radius(p, _compute_off_axis(across, z))
     # across the radius the pixel moves by `around`, along it by `along`, per unit of the point
     along = slope * z / range2
     around = radius / across if across > 0.0 else 1.0 / z
@@ -221,7 +223,7 @@ def _invert_radius(model: int, p: FloatArray, wanted: float, highest: float) -> 
             slope -= value * 2.0 * r * (p[11] + s * (2.0 * p[12] + 3.0 * s * p[13]))
             slope /= below
         else:
-            value, slope = _fisheye_radius(p, r)
+            value, slope = _compute_fisheye_radius(p, r)
         error = value - wanted
         if error == 0.0:
             return r
@@ -239,13 +241,13 @@ def _invert_radius(model: int, p: FloatArray, wanted: float, highest: float) -> 
 
 
 @kernel
-def _distorted(
+def _distort_pinhole(
     model: int, p: FloatArray, a: float, b: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Compute `_opencv` of either pinhole."""
+    """Compute `_distort_opencv` of either pinhole."""
     if model == OPENCV:
-        return _opencv(p, a, b)
-    x, y, xx, xy, yy = _brown(p, a, b)
+        return _distort_opencv(p, a, b)
+    x, y, xx, xy, yy = _distort_brown(p, a, b)
     return x, y, xx, xy, xy, yy
 
 
@@ -254,7 +256,7 @@ def _invert(model: int, p: FloatArray, u: float, v: float) -> tuple[float, float
     """Undistorted a, b of distorted u, v; NaN where the model reaches u, v from no valid ray."""
     limit = p[LIMIT]
     if model == OPENCV:
-        u, v, depth = _tilted(p, LEVEL, u, v)
+        u, v, depth = _tilt_point(p, LEVEL, u, v)
         if not depth > 0.0:
             return math.nan, math.nan
     if not limit < math.inf:
@@ -264,13 +266,13 @@ def _invert(model: int, p: FloatArray, u: float, v: float) -> tuple[float, float
         return 0.0, 0.0  # no term moves the centre
     start = _invert_radius(model, p, distance, math.sqrt(limit)) / distance
     a, b = start * u, start * v
-    x, y, xa, xb, ya, yb = _distorted(model, p, a, b)
+    x, y, xa, xb, ya, yb = _distort_pinhole(model, p, a, b)
     miss = math.sqrt((x - u) ** 2 + (y - v) ** 2)
     for _ in range(_STEPS):
         determinant = xa * yb - xb * ya
         da = (yb * (u - x) - xb * (v - y)) / determinant
         db = (xa * (v - y) - ya * (u - x)) / determinant
-        x, y, xa, xb, ya, yb = _distorted(model, p, a + da, b + db)
+        x, y, xa, xb, ya, yb = _distort_pinhole(model, p, a + da, b + db)
         now = math.sqrt((x - u) ** 2 + (y - v) ** 2)
         if not now < miss:
             break
@@ -282,7 +284,7 @@ def _invert(model: int, p: FloatArray, u: float, v: float) -> tuple[float, float
 
 
 @kernel
-def _ray(model: int, p: FloatArray, x: float, y: float) -> tuple[float, float, float]:
+def _invert_pixel(model: int, p: FloatArray, x: float, y: float) -> tuple[float, float, float]:
     """Unit vector in the camera frame that a pixel looks along."""
     u, v = x - p[1], (y - p[2]) / p[ASPECT]
     if not u * u + v * v <= p[CIRCLE] * p[CIRCLE]:
@@ -296,7 +298,7 @@ def _ray(model: int, p: FloatArray, x: float, y: float) -> tuple[float, float, f
     distance = math.sqrt(u * u + v * v)
     if distance == 0.0:
         return 0.0, 0.0, 1.0
-    farthest, _ = _fisheye_radius(p, p[LIMIT])
+    farthest, _ = _compute_fisheye_radius(p, p[LIMIT])
     if not distance <= farthest:
         return math.nan, math.nan, math.nan
     angle = _invert_radius(FISHEYE, p, distance, p[LIMIT])
@@ -315,11 +317,11 @@ def project_opencv(
     q = p[ASPECT]
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        pixels[i, 0], pixels[i, 1] = _opencv_pixel(p, x, y, z)
+        pixels[i, 0], pixels[i, 1] = _project_opencv_point(p, x, y, z)
         if math.isnan(pixels[i, 0]):
             jacobians[i] = math.nan
             continue
-        d = _opencv_derivatives(p, x, y, z)
+        d = _differentiate_opencv(p, x, y, z)
         jacobians[i, 0, 0], jacobians[i, 0, 1], jacobians[i, 0, 2] = d[0], d[1], d[2]
         jacobians[i, 1, 0], jacobians[i, 1, 1], jacobians[i, 1, 2] = q * d[3], q * d[4], q * d[5]
 
@@ -328,7 +330,9 @@ def project_opencv(
 def project_points(model: int, p: FloatArray, points: FloatArray, pixels: FloatArray) -> None:
     """Write pixels (n, 2) of points (n, 3) in the camera frame."""
     for i in range(points.shape[0]):
-        pixels[i, 0], pixels[i, 1] = _pixel(model, p, points[i, 0], points[i, 1], points[i, 2])
+        pixels[i, 0], pixels[i, 1] = _project_point(
+            model, p, points[i, 0], points[i, 1], points[i, 2]
+        )
 
 
 @kernel
@@ -359,11 +363,11 @@ def project_body_points(
             for k in range(size):
                 a, b = xs[k] / zs[k], ys[k] / zs[k]
                 seen = (zs[k] > 0.0) & (a * a + b * b <= p[LIMIT])
-                a, b, _, _, _ = _brown(p, a, b)
+                a, b, _, _, _ = _distort_brown(p, a, b)
                 xs[k], ys[k], scales[k] = a, b, 1.0 if seen else math.nan
         else:
             for k in range(size):
-                scales[k] = _fisheye_scale(p, xs[k] * xs[k] + ys[k] * ys[k], zs[k])
+                scales[k] = _compute_fisheye_scale(p, xs[k] * xs[k] + ys[k] * ys[k], zs[k])
         for k in range(size):
             i = first + k
             u, v = p[0] * (scales[k] * xs[k]), p[0] * (scales[k] * ys[k])
@@ -380,23 +384,23 @@ def project_with_derivatives(
     q = p[ASPECT]
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        pixels[i, 0], pixels[i, 1] = _pixel(model, p, x, y, z)
+        pixels[i, 0], pixels[i, 1] = _project_point(model, p, x, y, z)
         if math.isnan(pixels[i, 0]):
             jacobians[i] = math.nan
             continue
-        d = _derivatives(model, p, x, y, z)
+        d = _differentiate_pixel(model, p, x, y, z)
         jacobians[i, 0, 0], jacobians[i, 0, 1], jacobians[i, 0, 2] = d[0], d[1], d[2]
         jacobians[i, 1, 0], jacobians[i, 1, 1], jacobians[i, 1, 2] = q * d[3], q * d[4], q * d[5]
 
 
 @kernel
-def rays_of_pixels(model: int, p: FloatArray, pixels: FloatArray, rays: FloatArray) -> None:
+def invert_pixels(model: int, p: FloatArray, pixels: FloatArray, rays: FloatArray) -> None:
     """Write unit rays (n, 3), camera frame, of pixels (n, 2)."""
     for i in range(pixels.shape[0]):
-        rays[i, 0], rays[i, 1], rays[i, 2] = _ray(model, p, pixels[i, 0], pixels[i, 1])
+        rays[i, 0], rays[i, 1], rays[i, 2] = _invert_pixel(model, p, pixels[i, 0], pixels[i, 1])
 
 
-def pinhole_limit(parameters: FloatArray) -> float:
+def find_pinhole_limit(parameters: FloatArray) -> float:
     """Squared tangent of the off-axis angle up to which a distortion is one to one.
 
     parameters  of a lens with five coefficients, or with all of OpenCV's terms
@@ -408,7 +412,7 @@ def pinhole_limit(parameters: FloatArray) -> float:
     for _ in range(3):
         radii = np.linspace(low, high, _RADII)
         least = np.empty(_RADII)
-        _least_determinants(parameters, radii, least)
+        _find_least_determinants(parameters, radii, least)
         folded = np.flatnonzero(least <= 0.0)
         if folded.size == 0:
             return high * high
@@ -418,7 +422,7 @@ def pinhole_limit(parameters: FloatArray) -> float:
 
 
 @kernel
-def _least_determinants(p: FloatArray, radii: FloatArray, least: FloatArray) -> None:
+def _find_least_determinants(p: FloatArray, radii: FloatArray, least: FloatArray) -> None:
     """Write the smallest Jacobian determinant of the distortion over all azimuths, at each radius.
 
     Not positive either where the radial terms have a pole or the tilted sensor ends.
@@ -429,16 +433,16 @@ def _least_determinants(p: FloatArray, radii: FloatArray, least: FloatArray) -> 
         below = 1.0 + s * (p[11] + s * (p[12] + s * p[13]))
         for j in range(_AZIMUTHS):
             azimuth = 2.0 * math.pi * j / _AZIMUTHS
-            x, y, xa, xb, ya, yb = _opencv(
+            x, y, xa, xb, ya, yb = _distort_opencv(
                 p, radii[i] * math.cos(azimuth), radii[i] * math.sin(azimuth)
             )
-            _, _, depth = _tilted(p, TILT, x, y)
+            _, _, depth = _tilt_point(p, TILT, x, y)
             # both eigenvalues: past a double fold the determinant is positive again
             valid = below > 0.0 and xa + yb > 0.0 and depth > 0.0
             least[i] = min(least[i], xa * yb - xb * ya if valid else -1.0)
 
 
-def fisheye_limit(coefficients: tuple[float, ...]) -> float:
+def find_fisheye_limit(coefficients: tuple[float, ...]) -> float:
     """Off-axis angle, rad, up to which the Kannala-Brandt radius grows; pi at most.
 
     coefficients  k1 k2 k3 k4

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from catalog.errors import UsageError
-from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
+from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
 from optnav_cli.options import (
     OptnavCommand,
     bbox_option,
@@ -85,26 +85,26 @@ def build(
       optnav build moon.toml -o moon.gpkg --scheduler tcp://head:8786
     """
     from catalog.pipeline.build import run
-    from optnav_cli.commands.catalog import compare_and_tell, require_reference
+    from optnav_cli.commands.catalog import report_comparison, require_reference
 
-    source = _source(config, body)
-    announce_compilation()
+    source = _choose_source(config, body)
+    report_compilation()
     if check is not None:
         require_reference(check, output)  # before hours of work
     report = run(source, output=output, progress=progress, **options)
-    _tell_catalog(output, report)
+    _report_catalog(output, report)
     if check is not None:
-        compare_and_tell(check, output, progress)
+        report_comparison(check, output, progress)
 
 
-def _source(given: Sequence[Path], body: str | None) -> "Path | ConfigText":
+def _choose_source(given: Sequence[Path], body: str | None) -> "Path | ConfigText":
     """The config that is given, or that of the terrain models given. Raises UsageError."""
     from catalog.pipeline.config import RASTERS, ConfigText
     from catalog.terrain.mesh.file import MESHES
 
     rasters = [path for path in given if path.suffix.lower() in RASTERS]
     if len(rasters) == len(given):
-        return ConfigText.of_rasters(rasters, body or "moon")
+        return ConfigText.make_from_rasters(rasters, body or "moon")
     (config,) = [path for path in given if path not in rasters][:1]
     if config.suffix.lower() in MESHES:
         raise UsageError(
@@ -124,7 +124,7 @@ def _source(given: Sequence[Path], body: str | None) -> "Path | ConfigText":
     return config
 
 
-def _stage(
+def _make_stage_command(
     name: str, text: str, *, on_workers: bool = False, writes: bool = False
 ) -> click.Command:
     """The command of one stage, with the options that all of them take.
@@ -137,13 +137,13 @@ def _stage(
     ) -> None:
         from catalog.pipeline.build import run
 
-        announce_compilation()
+        report_compilation()
         report = run(config, stages=(name,), output=output, progress=progress, **options)
         if output is None:
-            _tell_account(report)
+            _report_account(report)
             click.echo(f"{options['work']}: {name} is done for {report.account.cells} cells")
         else:
-            _tell_catalog(output, report)
+            _report_catalog(output, report)
 
     options = [path_argument("config")]
     options += [output_option(CATALOG_HELP, CATALOG_ENDINGS)] if writes else []
@@ -161,28 +161,28 @@ def _stage(
     )(command)
 
 
-def _tell_account(report: "BuildReport") -> None:
+def _report_account(report: "BuildReport") -> None:
     from optnav_cli.output.wording import format_account
 
-    tell(format_account(report.account))
+    report_lines(format_account(report.account))
 
 
-def _tell_catalog(output: Path, report: "BuildReport") -> None:
-    _tell_account(report)
+def _report_catalog(output: Path, report: "BuildReport") -> None:
+    _report_account(report)
     click.echo(f"{output}: {report.points} control points, {report.usable} usable")
     click.echo(f"digest: {report.digest}")
 
 
-ingest = _stage(
+ingest = _make_stage_command(
     "ingest", "Read the terrain models that CONFIG names, average them and find their cells."
 )
-render = _stage(
+render = _make_stage_command(
     "render", "Shortlist points in each cell and render them under all Suns.", on_workers=True
 )
-select = _stage("select", "Choose among each cell's shortlist the points to check.")
-check = _stage(
+select = _make_stage_command("select", "Choose among each cell's shortlist the points to check.")
+check = _make_stage_command(
     "check",
     "Check the chosen points: uniqueness, foreign shadows, recognition trials.",
     on_workers=True,
 )
-write = _stage("write", "Write the catalog file.", on_workers=True, writes=True)
+write = _make_stage_command("write", "Write the catalog file.", on_workers=True, writes=True)

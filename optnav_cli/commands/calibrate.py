@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
+from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
 from optnav_cli.options import OptnavCommand, output_option, workers_option
 from optnav_cli.parameters import PATH, Number
 
@@ -19,7 +19,7 @@ IN_FLIGHT, OF_A_GRID = (
 )
 
 
-def _solved(context: click.Context, option: click.Parameter, value: str) -> tuple[str, ...]:
+def _parse_solve(context: click.Context, option: click.Parameter, value: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in value.split(","))
     for name in names:
         if name not in SOLVED:
@@ -27,7 +27,7 @@ def _solved(context: click.Context, option: click.Parameter, value: str) -> tupl
     return names
 
 
-def _size(
+def _parse_size(
     context: click.Context, option: click.Parameter, value: str | None
 ) -> tuple[int, int] | None:
     if value is None:
@@ -51,7 +51,7 @@ def _size(
 )
 @click.option(
     "--solve",
-    callback=_solved,
+    callback=_parse_solve,
     default=",".join(SOLVED),
     show_default=True,
     metavar="WHAT,...",
@@ -71,7 +71,7 @@ def _size(
 )
 @click.option(
     "--grid",
-    callback=_size,
+    callback=_parse_size,
     metavar="COLUMNSxROWS",
     help="Its dots, found if left out; a chessboard's inner corners, 4x11 for OpenCV's acircles.",
 )
@@ -129,10 +129,10 @@ def command(
     """
     _check_words(click.get_current_context(), spacing_mm, solve)
     if spacing_mm is not None:
-        result = _by_grids(progress, paths, output, solve, spacing_mm, more)
+        result = _calibrate_by_grids(progress, paths, output, solve, spacing_mm, more)
     else:
-        result = _in_flight(progress, paths[0], output, solve, **more)
-    tell(result)
+        result = _calibrate_in_flight(progress, paths[0], output, solve, **more)
+    report_lines(result)
     click.echo(output)
 
 
@@ -160,7 +160,7 @@ def _check_words(context: click.Context, spacing_mm: float | None, solve: tuple[
         raise click.UsageError("one FOLDER is calibrated in flight, not several", context)
 
 
-def _by_grids(
+def _calibrate_by_grids(
     progress: ConsoleProgress,
     pictures: tuple[Path, ...],
     output: Path,
@@ -187,7 +187,7 @@ def _by_grids(
     return calibrate_grid(inputs, output, kinds, progress).lines()
 
 
-def _in_flight(
+def _calibrate_in_flight(
     progress: ConsoleProgress,
     folder: Path,
     output: Path,
@@ -204,7 +204,7 @@ def _in_flight(
     from optnav_cli.navigate.worker import RunInputs
 
     settings = load_calibrate_settings(config) if config else CalibrateSettings()
-    announce_compilation()
+    report_compilation()
     kinds = [kind for kind in Common if kind.value in solve]
     inputs = RunInputs(folder, list(catalogs))
     return calibrate_folder(inputs, output, kinds, settings, progress, workers).lines()

@@ -8,7 +8,7 @@ import click
 
 from catalog.errors import DataError
 from catalog.progress import Progress
-from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
+from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation
 from optnav_cli.options import (
     LazyGroup,
     NumberArguments,
@@ -35,7 +35,7 @@ def command() -> None:
     """
 
 
-def answer(document: Mapping[str, Any], lines: Mapping[str, str], as_json: bool) -> None:
+def print_answer(document: Mapping[str, Any], lines: Mapping[str, str], as_json: bool) -> None:
     """Print a document for programs, or its lines for people."""
     from optnav_cli.output.wording import format_json
 
@@ -46,7 +46,7 @@ def answer(document: Mapping[str, Any], lines: Mapping[str, str], as_json: bool)
 @command.command("info", short_help="What a catalog holds.")
 @path_argument("catalog")
 @json_option
-def catalog_info(catalog: Path, as_json: bool) -> None:
+def print_info(catalog: Path, as_json: bool) -> None:
     """Print what CATALOG holds, a `key: value` a line, its content digest among them.
 
     The digest is the one that the catalog states; `optnav catalog verify` tells whether it is true.
@@ -61,7 +61,7 @@ def catalog_info(catalog: Path, as_json: bool) -> None:
 
     with Catalog.open(catalog) as opened:
         document = catalog_document(opened)
-    answer(document, describe(document), as_json)
+    print_answer(document, describe(document), as_json)
 
 
 @command.command("nearest", cls=NumberArguments, short_help="The control point nearest to a place.")
@@ -73,7 +73,7 @@ def catalog_info(catalog: Path, as_json: bool) -> None:
     "--count", type=click.IntRange(1, 10**6), default=1, show_default=True, help="How many points."
 )
 @json_option
-def catalog_nearest(
+def print_nearest(
     catalog: Path, lat: float, lon: float, usable: bool, count: int, as_json: bool
 ) -> None:
     """Print the control point of CATALOG nearest to LAT LON (degrees, east positive).
@@ -87,17 +87,17 @@ def catalog_nearest(
       optnav catalog nearest tycho.gpkg -43.3 -11.2 --usable --count 5
     """
     from catalog.inspect.summary import (
-        covers,
         describe_point,
-        nearest_points,
+        find_nearest_points,
+        is_covered,
         point_document,
     )
     from catalog.store.reader import Catalog
     from optnav_cli.output.wording import format_json, format_length
 
     with Catalog.open(catalog) as opened:
-        near_points = nearest_points(opened, lat, lon, count, usable)
-        covered, cell_deg = covers(opened, near_points[0]), opened.meta.cell_deg
+        near_points = find_nearest_points(opened, lat, lon, count, usable)
+        covered, cell_deg = is_covered(opened, near_points[0]), opened.meta.cell_deg
     documents = [
         point_document(near.point)
         | {"distance_m": near.distance_m, "azimuth_deg": near.azimuth_deg}
@@ -113,7 +113,7 @@ def catalog_nearest(
         words = describe_point(documents[0]) | distance | {"azimuth_deg": f"{near.azimuth_deg:.1f}"}
         lines = [f"{key}: {value}" for key, value in words.items()]
     else:
-        lines = _near_lines(documents)
+        lines = _format_near_points(documents)
     if not covered:
         which = "usable point" if usable else "point"
         lines.append(
@@ -123,7 +123,7 @@ def catalog_nearest(
     click.echo("\n".join(lines))
 
 
-def _near_lines(documents: Sequence[Mapping[str, Any]]) -> list[str]:
+def _format_near_points(documents: Sequence[Mapping[str, Any]]) -> list[str]:
     """A table of points near a place, the nearest first."""
     from optnav_cli.output.wording import align_table, choose_length_unit
 
@@ -149,7 +149,7 @@ def _near_lines(documents: Sequence[Mapping[str, Any]]) -> list[str]:
     required=False,
 )
 @json_option
-def catalog_show(catalog: Path, point_id: int | None, output: Path | None, as_json: bool) -> None:
+def show_point(catalog: Path, point_id: int | None, output: Path | None, as_json: bool) -> None:
     """Print what CATALOG says about control point ID and draw its levels.
 
     In the picture: heights by colour with relief shading, and below them the brightness by Hapke
@@ -167,7 +167,7 @@ def catalog_show(catalog: Path, point_id: int | None, output: Path | None, as_js
     from catalog.inspect.summary import describe_point, point_document
     from catalog.store.reader import Catalog
 
-    announce_compilation()
+    report_compilation()
     path = output or Path(f"{catalog.stem}{'' if point_id is None else f'-{point_id}'}.png")
     check_png_place(path)
     document: dict[str, Any] = {}
@@ -182,7 +182,7 @@ def catalog_show(catalog: Path, point_id: int | None, output: Path | None, as_js
             write_png(draw_pyramid(pyramid, opened.meta.map_radius_m), path)
     picture = {"picture": str(path)}
     lines = describe_point(document) if document else {}
-    answer({"catalog": str(catalog)} | document | picture, lines | picture, as_json)
+    print_answer({"catalog": str(catalog)} | document | picture, lines | picture, as_json)
 
 
 @command.command("compare", short_help="What differs between two catalogs.")
@@ -191,7 +191,7 @@ def catalog_show(catalog: Path, point_id: int | None, output: Path | None, as_js
 @output_option("A table (CSV) of every point that differs.", (".csv", ""), required=False)
 @json_option
 @pass_progress
-def catalog_compare(
+def compare_catalogs(
     progress: ConsoleProgress, first: Path, second: Path, output: Path | None, as_json: bool
 ) -> None:
     """Compare the content of the catalogs FIRST and SECOND.
@@ -205,11 +205,11 @@ def catalog_compare(
       optnav catalog compare release.gpkg moon.gpkg
       optnav catalog compare release.gpkg moon.gpkg -o differences.csv
     """
-    announce_compilation()
-    compare_and_tell(first, second, progress, output, as_json)
+    report_compilation()
+    report_comparison(first, second, progress, output, as_json)
 
 
-def compare_and_tell(
+def report_comparison(
     first: Path,
     second: Path,
     progress: Progress,
@@ -235,9 +235,11 @@ def compare_and_tell(
     if as_json:
         click.echo(format_json(differences.comparison_document(comparison)))
     else:
-        click.echo("\n".join([*differences.lines(comparison), *more]))
+        click.echo("\n".join([*differences.format_lines(comparison), *more]))
     if not comparison.same:
-        raise DifferenceError(f"{second}: differs from {first}: {differences.summary(comparison)}")
+        raise DifferenceError(
+            f"{second}: differs from {first}: {differences.summarise(comparison)}"
+        )
 
 
 def require_reference(reference: Path, output: Path) -> None:
@@ -260,7 +262,7 @@ SHOWN = 50
 @path_argument("catalog")
 @json_option
 @pass_progress
-def catalog_verify(progress: ConsoleProgress, catalog: Path, as_json: bool) -> None:
+def verify_catalog(progress: ConsoleProgress, catalog: Path, as_json: bool) -> None:
     """Read all of CATALOG, check every checksum and compute its content digest anew.
 
     Prints what is damaged, by table, point and level, and ends with exit code 3 if anything is. A
@@ -275,7 +277,7 @@ def catalog_verify(progress: ConsoleProgress, catalog: Path, as_json: bool) -> N
     from catalog.store.verify import Verification, verify
     from optnav_cli.output.wording import format_json
 
-    announce_compilation()
+    report_compilation()
     try:
         verification = verify(catalog, progress)
     except DataError as error:
@@ -287,7 +289,7 @@ def catalog_verify(progress: ConsoleProgress, catalog: Path, as_json: bool) -> N
     if as_json:
         click.echo(format_json(verification_document(verification)))
     else:
-        click.echo("\n".join(_verified_lines(verification)))
+        click.echo("\n".join(_format_verification(verification)))
     if not verification.sound:
         raise DataError(
             f"{catalog}: is damaged ({len(verification.problems)} findings); restore it or build "
@@ -295,7 +297,7 @@ def catalog_verify(progress: ConsoleProgress, catalog: Path, as_json: bool) -> N
         )
 
 
-def _verified_lines(verification: "Verification") -> list[str]:
+def _format_verification(verification: "Verification") -> list[str]:
     lines = [f"damaged: {problem}" for problem in verification.problems[:SHOWN]]
     if len(verification.problems) > SHOWN:
         lines.append(f"damaged: and {len(verification.problems) - SHOWN} more")
@@ -321,7 +323,7 @@ def _verified_lines(verification: "Verification") -> list[str]:
     show_default=True,
     help="The patch's level, 0 the finest.",
 )
-def catalog_export(catalog: Path, output: Path, point_id: int | None, level: int) -> None:
+def export_catalog(catalog: Path, output: Path, point_id: int | None, level: int) -> None:
     """Write the points of CATALOG with their attributes as a layer, on the body's own sphere.
 
     A CSV gets a .prj and a .csvt file beside it, so that GIS programs know places and types.

@@ -105,7 +105,7 @@ def list_shipped(kind: str | None, as_json: bool) -> None:
     """
     from optnav_cli.output.wording import align_table, format_json
 
-    shipped = {name: [*_shipped(name)] for name in ([kind] if kind else KINDS)}
+    shipped = {name: [*_list_files(name)] for name in ([kind] if kind else KINDS)}
     if as_json:
         click.echo(format_json(shipped))
         return
@@ -151,18 +151,18 @@ def template(kind: str, output: Path | None) -> None:
     click.echo(output)
 
 
-def _shipped(kind: str) -> Iterator[dict[str, str]]:
+def _list_files(kind: str) -> Iterator[dict[str, str]]:
     """Name, description, use and path of each file of a kind, by name."""
     from catalog.config import resource
 
     (beside, pattern), name, use = KINDS[kind]
     for path in sorted(resource(beside).parent.glob(pattern)):
         if path.suffix == ".toml":
-            stem, description = path.stem, first_sentence(path)
+            stem, description = path.stem, read_first_sentence(path)
             if '"shared:' in path.read_text(encoding="utf-8"):
                 description += " Needs OPTNAV_SHARED_DATA."
         else:
-            stem, description = path.name, _data_description(path)
+            stem, description = path.name, _read_data_description(path)
         yield {
             "name": name.replace("NAME", stem),
             "description": description,
@@ -171,14 +171,14 @@ def _shipped(kind: str) -> Iterator[dict[str, str]]:
         }
 
 
-def first_sentence(path: Path) -> str:
+def read_first_sentence(path: Path) -> str:
     """Return the description of a config: the first sentence of the comment at its head."""
     lines = path.read_text(encoding="utf-8").splitlines()
     comment = [line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), lines)]
     return re.split(r"(?<=\w)\. |: |; ", " ".join(comment))[0].rstrip(".") + "."
 
 
-def _data_description(path: Path) -> str:
+def _read_data_description(path: Path) -> str:
     """Return the description of a data file: its line in the README beside it."""
     text = path.with_name("README.md").read_text(encoding="utf-8")
     match = re.search(rf"^\| `{re.escape(path.name)}` \| (.*?) \|", text, re.MULTILINE)

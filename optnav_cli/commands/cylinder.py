@@ -5,7 +5,7 @@ from typing import Literal, cast
 
 import click
 
-from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
+from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
 from optnav_cli.options import OptnavCommand, output_option, path_argument
 from optnav_cli.parameters import RenamedChoice
 
@@ -40,8 +40,8 @@ def command(progress: ConsoleProgress, folder: Path, formula: str, output: Path)
     """
     from optnav_cli.cylinder.job import list_result_lines, measure_cylinder_folder
 
-    announce_compilation()
+    report_compilation()
     chosen = cast(Literal["fit", "printed"], formula)
     rows = measure_cylinder_folder(folder, output, chosen, progress)
-    tell(list_result_lines(rows))
+    report_lines(list_result_lines(rows))
     click.echo(output)

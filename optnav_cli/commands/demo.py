@@ -10,9 +10,9 @@ import click
 
 from optnav_cli.console import (
     ConsoleProgress,
-    announce_compilation,
     has_cached_kernels,
     pass_progress,
+    report_compilation,
 )
 from optnav_cli.options import OptnavCommand, workers_option
 from optnav_cli.parameters import OutputOption
@@ -58,7 +58,7 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     from catalog.config import resource
     from catalog.files import check_folder
     from catalog.pipeline import build
-    from catalog.places import claimed, make_folder
+    from catalog.places import lock_output, make_folder
     from optnav_cli.evaluation.files import evaluate_run, write_evaluation
     from optnav_cli.evaluation.table import format_table
     from optnav_cli.navigate.job import navigate_folder
@@ -73,15 +73,15 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     report = output / "report.html"
 
     check_folder(output, KIND)
-    with claimed(output):
+    with lock_output(output):
         make_folder(output)
         # First of all, so that the same command knows a demo that was stopped as its own.
         inputs = {"config": config.name, "scenario": scenario.name}
         write_manifest(
             output, KIND, command="demo", options={}, inputs=inputs, started=datetime.now(UTC)
         )
-        announce_compilation()
-        with _compiling_ahead(scenario, workers) as is_built:
+        report_compilation()
+        with _compile_ahead(scenario, workers) as is_built:
             build.run(config, output=catalog, workers=workers, progress=progress)
             is_built(catalog)
             simulate_folder(scenario, pictures, progress, workers)
@@ -94,7 +94,7 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
 
 
 @contextmanager
-def _compiling_ahead(scenario: Path, workers: int | None) -> Iterator[Callable[[Path], None]]:
+def _compile_ahead(scenario: Path, workers: int | None) -> Iterator[Callable[[Path], None]]:
     """Let a process beside compile what later stages need, where nothing is compiled yet.
 
     It simulates two pictures in a temporary folder while the catalog is built, and navigates them
@@ -104,9 +104,9 @@ def _compiling_ahead(scenario: Path, workers: int | None) -> Iterator[Callable[[
     import multiprocessing
     import tempfile
 
-    from catalog.jobs.workers import LocalPool, available_cores
+    from catalog.jobs.workers import LocalPool, count_cores
 
-    if (workers or available_cores()) < 2 or has_cached_kernels():
+    if (workers or count_cores()) < 2 or has_cached_kernels():
         yield lambda catalog: None
         return
     others = {child.pid for child in multiprocessing.active_children()}
@@ -118,7 +118,7 @@ def _compiling_ahead(scenario: Path, workers: int | None) -> Iterator[Callable[[
         try:
             yield lambda catalog: _submit(executor, _navigate_ahead, work, catalog)
         finally:
-            pool.abandon()
+            pool.stop_now()
             for child in beside:  # which writes no more then
                 child.join()
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
+from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
 from optnav_cli.options import OptnavCommand, json_option, output_option, path_argument
 from optnav_cli.parameters import PATH, Number
 
@@ -56,7 +56,7 @@ def slopes(
     from optnav_cli.hazard.slopes import measure_slopes
     from optnav_cli.output.wording import format_json
 
-    announce_compilation()
+    report_compilation()
     measured = measure_slopes(dem, base_m, body, output, nodata)
     if as_json:
         click.echo(format_json(measured.figures()))
@@ -125,6 +125,6 @@ def hazard(
     """
     from optnav_cli.hazard.job import map_pictures
 
-    announce_compilation()
-    tell(map_pictures(pictures, output, config, camera, given, progress))
+    report_compilation()
+    report_lines(map_pictures(pictures, output, config, camera, given, progress))
     click.echo(output)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
+from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
 from optnav_cli.options import LazyGroup, output_option, path_argument
 from optnav_cli.parameters import PATH, Number
 
@@ -28,7 +28,7 @@ def command() -> None:
     """
 
 
-def _solved(context: click.Context, option: click.Parameter, value: str) -> tuple[str, ...]:
+def _parse_solve(context: click.Context, option: click.Parameter, value: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in value.split(",") if name.strip())
     for name in names:
         if name not in SOLVED:
@@ -43,7 +43,7 @@ def _solved(context: click.Context, option: click.Parameter, value: str) -> tupl
 )
 @click.option(
     "--solve",
-    callback=_solved,
+    callback=_parse_solve,
     default="",
     metavar="WHAT,...",
     help="What to solve for besides the orbit: clock of a camera or run against the first one, "
@@ -73,8 +73,8 @@ def fit(runs: tuple[Path, ...], config: Path | None, solve: tuple[str, ...], out
     from optnav_cli.orbit.fit.settings import OrbitFitSettings, load_orbit_settings
 
     settings = load_orbit_settings(config) if config else OrbitFitSettings()
-    announce_compilation()
-    tell(fit_runs(runs, output, settings, solve, config.parent if config else Path()))
+    report_compilation()
+    report_lines(fit_runs(runs, output, settings, solve, config.parent if config else Path()))
     click.echo(output)
 
 
@@ -112,14 +112,14 @@ def predict(
     """
     from optnav_cli.orbit.fit.files import predict_orbit, prediction_lines, write_orbit
 
-    announce_compilation()
+    report_compilation()
     path, prediction = predict_orbit(orbit, to_utc, step_s, progress)
     lines = prediction_lines(path, prediction)
     if output is None:
         click.echo("\n".join(lines))
         return
     write_orbit(path.orbit, prediction.rows, output, -999)
-    tell([*lines[:2], lines[-1]])
+    report_lines([*lines[:2], lines[-1]])
     click.echo(output)
 
 
@@ -181,8 +181,8 @@ def time(run: Path, orbit: Path, craft: int, margin_s: float, output: Path) -> N
     """
     from optnav_cli.orbit.fit.files import time_pictures
 
-    announce_compilation()
-    tell(time_pictures(run, orbit, output, margin_s, craft))
+    report_compilation()
+    report_lines(time_pictures(run, orbit, output, margin_s, craft))
     click.echo(output)
 
 
@@ -190,7 +190,7 @@ def time(run: Path, orbit: Path, craft: int, margin_s: float, output: Path) -> N
 @path_argument("settings")
 @output_option("Folder for the orbits; earlier ones in it are replaced.")
 @pass_progress
-def qso(progress: ConsoleProgress, settings: Path, output: Path) -> None:
+def find_qso(progress: ConsoleProgress, settings: Path, output: Path) -> None:
     """Find quasi-satellite orbits: about a moon too light to have satellites of its own.
 
     SETTINGS is a TOML file, or `bundled:NAME` for one that ships with optnav: distances from the
@@ -208,9 +208,9 @@ def qso(progress: ConsoleProgress, settings: Path, output: Path) -> None:
     """
     from optnav_cli.orbit.qso.job import qso_folder, qso_lines
 
-    announce_compilation()
+    report_compilation()
     rows, mean_motion = qso_folder(settings, output, progress)
-    tell(qso_lines(rows, mean_motion))
+    report_lines(qso_lines(rows, mean_motion))
     click.echo(output)
 
 
@@ -218,7 +218,7 @@ def qso(progress: ConsoleProgress, settings: Path, output: Path) -> None:
 @path_argument("settings")
 @output_option("Folder for the landing; an earlier one in it is replaced.")
 @pass_progress
-def landing(progress: ConsoleProgress, settings: Path, output: Path) -> None:
+def simulate_landing(progress: ConsoleProgress, settings: Path, output: Path) -> None:
     """Find a departure impulse and fly landings on a moon with drawn errors.
 
     SETTINGS is a TOML file, or `bundled:NAME` for one that ships with optnav: target, departure,
@@ -236,8 +236,8 @@ def landing(progress: ConsoleProgress, settings: Path, output: Path) -> None:
     """
     from optnav_cli.orbit.landing.job import landing_folder, landing_lines
 
-    announce_compilation()
-    tell(landing_lines(landing_folder(settings, output, progress)))
+    report_compilation()
+    report_lines(landing_lines(landing_folder(settings, output, progress)))
     click.echo(output)
 
 
@@ -245,7 +245,7 @@ def landing(progress: ConsoleProgress, settings: Path, output: Path) -> None:
 @path_argument("settings")
 @output_option("Folder for the tables; earlier ones in it are replaced.")
 @pass_progress
-def delivery(progress: ConsoleProgress, settings: Path, output: Path) -> None:
+def evaluate_delivery(progress: ConsoleProgress, settings: Path, output: Path) -> None:
     """Bound the errors of an arrival and the corrections of a schedule, and draw them in trials.
 
     SETTINGS is a TOML file, or `bundled:NAME` for one that ships with optnav: target and aim, start
@@ -263,5 +263,5 @@ def delivery(progress: ConsoleProgress, settings: Path, output: Path) -> None:
     """
     from optnav_cli.orbit.delivery.job import delivery_folder, delivery_lines
 
-    tell(delivery_lines(delivery_folder(settings, output, progress)))
+    report_lines(delivery_lines(delivery_folder(settings, output, progress)))
     click.echo(output)

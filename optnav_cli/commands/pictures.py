@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
+from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
 from optnav_cli.options import (
     OptnavCommand,
     json_option,
@@ -53,11 +53,11 @@ def simulate(
       optnav simulate flight.toml -o pictures
       optnav simulate bundled:demo -o pictures
     """
-    from catalog.config import named_config
+    from catalog.config import resolve_config
     from optnav_cli.simulation.job import simulate_folder
 
-    announce_compilation()
-    named = named_config(scenario, "scenarios")
+    report_compilation()
+    named = resolve_config(scenario, "scenarios")
     simulate_folder(named, output, progress, workers, scheduler)
     click.echo(output)
 
@@ -139,10 +139,10 @@ def navigate(
     from optnav_cli.output.run_folder import summarise_run
 
     settings = load_settings(config) if config else NavigateSettings()
-    announce_compilation()
+    report_compilation()
     inputs = RunInputs(folder, settings=settings, **given)
     solutions = navigate_folder(inputs, output, progress, workers=workers, scheduler=scheduler)
-    tell(summarise_run(solutions))
+    report_lines(summarise_run(solutions))
     click.echo(output)
 
 
@@ -201,24 +201,24 @@ def evaluate(
       optnav evaluate hazard --truth site.tif --max-dangerous-share 0.07
     """
     from catalog.errors import UsageError
-    from catalog.files import made_by_optnav
+    from catalog.files import is_made_by_optnav
     from optnav_cli.evaluation.figures import Limits, check_limits, limit_checks
     from optnav_cli.evaluation.files import evaluate_run, summary_of, write_evaluation
     from optnav_cli.evaluation.table import format_table
     from optnav_cli.output.wording import format_json
 
-    if made_by_optnav(run, "hazard"):
+    if is_made_by_optnav(run, "hazard"):
         if any(limit is not None for limit in limits.values()):
             raise UsageError(f"{run}: is a hazard folder; its limit is --max-dangerous-share")
         _evaluate_pads(run, truth, as_json, max_dangerous_share)
         return
     if max_dangerous_share is not None:
         raise UsageError(f"{run}: is no hazard folder, whose limit --max-dangerous-share is")
-    if made_by_optnav(run, "orbit"):
+    if is_made_by_optnav(run, "orbit"):
         _evaluate_orbit(run, truth, as_json, limits)
         return
     for kind in MEASURED_KINDS:
-        if made_by_optnav(run, kind):
+        if is_made_by_optnav(run, kind):
             if any(limit is not None for limit in limits.values()):
                 raise UsageError(f"{run}: is a {kind} folder, which the limits are not for")
             _evaluate_measured(run, truth, kind, as_json)
@@ -320,7 +320,7 @@ def import_pictures(files: tuple[Path, ...], output: Path, **given: Any) -> None
     """
     from optnav_cli.archives.job import ImportOptions, import_folder
 
-    tell(import_folder(files, output, ImportOptions(**given)).remarks)
+    report_lines(import_folder(files, output, ImportOptions(**given)).remarks)
     click.echo(output)
 
 
@@ -339,14 +339,14 @@ def export(run: Path, output: Path) -> None:
     Example:
       optnav export run -o run.gpkg
     """
-    from catalog.files import made_by_optnav
+    from catalog.files import is_made_by_optnav
     from optnav_cli.navigate.gis_layers import export_run
     from optnav_cli.output.run_folder import read_run
     from optnav_cli.report.measured_layers import export_cylinder, export_stars
 
-    if made_by_optnav(run, "stars"):
+    if is_made_by_optnav(run, "stars"):
         counts = export_stars(run, output)
-    elif made_by_optnav(run, "cylinder"):
+    elif is_made_by_optnav(run, "cylinder"):
         counts = export_cylinder(run, output)
     else:
         counts = export_run(read_run(run), output)
@@ -460,5 +460,5 @@ def adjust(
 
     kinds = [kind for kind in Common if kind.value in solve]
     result = adjust_runs(runs, output, kinds, LabelScatter(**scatter))
-    tell(result.lines())
+    report_lines(result.lines())
     click.echo(output)

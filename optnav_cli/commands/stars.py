@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from optnav_cli.console import ConsoleProgress, pass_progress, tell
+from optnav_cli.console import ConsoleProgress, pass_progress, report_lines
 from optnav_cli.options import OptnavCommand, output_option, path_argument
 from optnav_cli.parameters import PATH, Number
 
@@ -53,5 +53,5 @@ def command(
 
     if epoch is not None and catalogue is None:
         raise click.UsageError("--epoch is that of --catalogue, which is not given")
-    tell(list_result_lines(solve_star_folder(folder, output, progress, catalogue, epoch)))
+    report_lines(list_result_lines(solve_star_folder(folder, output, progress, catalogue, epoch)))
     click.echo(output)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from optnav_cli.console import ConsoleProgress, pass_progress, tell
+from optnav_cli.console import ConsoleProgress, pass_progress, report_lines
 from optnav_cli.options import OptnavCommand, output_option, path_argument
 
 
@@ -29,5 +29,5 @@ def command(progress: ConsoleProgress, folder: Path, output: Path) -> None:
     """
     from optnav_cli.stereo.job import list_result_lines, measure_stereo_folder
 
-    tell(list_result_lines(measure_stereo_folder(folder, output, progress)))
+    report_lines(list_result_lines(measure_stereo_folder(folder, output, progress)))
     click.echo(output)

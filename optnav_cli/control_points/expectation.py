@@ -19,7 +19,7 @@ from optnav_cli.control_points.search_plan import finest_level, template_nodes
 from optnav_cli.control_points.settings import NavigateSettings, ViewSettings
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.frames.observation import Observation
-from optnav_cli.reasons import Reason, ReasonCode, distinct_texts
+from optnav_cli.reasons import Reason, ReasonCode, format_distinct
 
 # A point may lie so far beyond the frame, share of its template's side, if a part is enough.
 BEYOND_SHARE = 0.3
@@ -215,8 +215,8 @@ def why_nothing_in_view(frame: FrameContext, pose: Pose) -> Reason:
             f"the {len(seen)} control points in the frame stand in the shadow of the terrain "
             "about them, or the frame cuts the ground that is compared",
         )
-    lowest, most = distinct_texts(float(lit.min()), limits.sun_max_deg, 1)
-    highest, least = distinct_texts(float(lit.max()), limits.sun_min_deg, 1)
+    lowest, most = format_distinct(float(lit.min()), limits.sun_max_deg, 1)
+    highest, least = format_distinct(float(lit.max()), limits.sun_min_deg, 1)
     return Reason(
         ReasonCode.POINTS_UNLIT,
         f"none of the {len(seen)} control points in the frame is lit well: Sun elevation "

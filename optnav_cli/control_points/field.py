@@ -68,7 +68,7 @@ class PointLayer:
         """(n, 3) outward normals at the points: of their planes where patches lie in such."""
         if self.planes is None:
             return unit(self.xyz_m)
-        return self.planes.verticals(self.ids, self.xyz_m)
+        return self.planes.compute_verticals(self.ids, self.xyz_m)
 
     @property
     def known_m(self) -> float:

@@ -173,10 +173,10 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         try:
             solution = solve(frame, view, matches, pose)
         except NoSolutionError as error:
-            reason = Reason.of(error)
+            reason = Reason.from_error(error)
             text = f"{reason} ({len(accepted(matches))} of {len(view)} matched)"
             evidence = _evidence(frame, prior, view, matches, None)
-            raise UnsolvedFrameError(reason.worded(text), evidence) from error
+            raise UnsolvedFrameError(reason.with_text(text), evidence) from error
     position, covariance_m2 = solution.pose.position_m, solution.position_covariance_m2
     reason = acceptance.rejection_of_place(position, covariance_m2, prior)
     if reason:
@@ -225,7 +225,7 @@ def _rejection(
         decades, alike = decades_of(kept), len(last.used) - len(kept)
     reason = acceptance.rejection_of_matches(last.solution, decades, searched, least, most)
     if alike and reason.code == ReasonCode.BY_CHANCE:
-        reason = reason.worded(f"{reason}: {alike} match as well elsewhere nearby")
+        reason = reason.with_text(f"{reason}: {alike} match as well elsewhere nearby")
     if parts:
         reason = reason or acceptance.rejection_of_parts(len(last.used))
     reason = reason or acceptance.rejection_of_light(_lights(frame, last))

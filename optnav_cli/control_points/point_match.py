@@ -40,7 +40,7 @@ from optnav_cli.control_points.reference import Reference
 from optnav_cli.control_points.search_plan import NO_DISTORTION, SearchPlan
 from optnav_cli.control_points.smoothness import shows_ground
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, distinct_texts
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, format_distinct
 
 # A reference lit or known over less than this share of its nodes is no picture of a place.
 MIN_VALID_SHARE = 0.6
@@ -329,11 +329,11 @@ def _rejection_of_match(match: Match, gates: MatchGates, samples: float) -> Reas
     if not np.isfinite(match.covariance).all():
         return Reason(ReasonCode.SEARCH_BORDER, "peak at the border of the search")
     if score < gates.min_score:
-        low, wanted = distinct_texts(score, gates.min_score, 2)
+        low, wanted = format_distinct(score, gates.min_score, 2)
         return Reason(ReasonCode.LOW_SCORE, f"score {low} below {wanted}")
     # samples are counted behind a blur only
     if samples and score * np.sqrt(samples) < gates.min_strength:
-        low, wanted = distinct_texts(score, gates.min_strength / np.sqrt(samples), 2)
+        low, wanted = format_distinct(score, gates.min_strength / np.sqrt(samples), 2)
         text = f"score {low} below {wanted} over {samples:.0f} samples"
         return Reason(ReasonCode.LOW_SCORE, text)
     if match.runner_up > gates.rival_ratio * score:

@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from catalog.bodies.body import load_body
-from catalog.config import load_toml, toml_text
+from catalog.config import load_toml, read_toml_text
 from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import read_cameras
@@ -78,6 +78,6 @@ def read_cylinder_folder(path: Path) -> CylinderFolder:
 
 def _read_keys(path: Path) -> dict[str, object]:
     try:
-        return tomllib.loads(toml_text(path))
+        return tomllib.loads(read_toml_text(path))
     except (ValueError, RecursionError):
         return {"target": None}  # what is wrong in it is said by reading it in full

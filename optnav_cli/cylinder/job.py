@@ -13,9 +13,9 @@ import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
-from catalog.files import replacing_folder
+from catalog.files import replace_folder
 from catalog.places import check_apart
-from catalog.progress import Progress, logged_stage
+from catalog.progress import Progress, log_stage
 from optnav_cli.camera.camera import Camera
 from optnav_cli.cylinder.fit import CylinderFit, IdealLens, fit_cylinder
 from optnav_cli.cylinder.folder import (
@@ -36,7 +36,7 @@ from optnav_cli.cylinder.page import CYLINDER_CSV, CYLINDER_KIND, draw_cylinder_
 from optnav_cli.cylinder.profile import CylinderProfile, measure_printed_extent, measure_profile
 from optnav_cli.cylinder.velocity import compute_velocity, place_series
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.picture import frame_picture
+from optnav_cli.frames.picture import load_frame_picture
 from optnav_cli.frames.tables import CYLINDER
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
@@ -97,9 +97,9 @@ def measure_cylinder_folder(
     """
     started = datetime.now(UTC)
     check_apart(output, [folder])
-    with logged_stage(STAGE):
+    with log_stage(STAGE):
         read = read_cylinder_folder(folder)
-        with replacing_folder(output, CYLINDER_KIND) as work:
+        with replace_folder(output, CYLINDER_KIND) as work:
             (work / "overlays").mkdir()
             rows = []
             with progress.stage(STAGE, len(read.frames), "picture") as bar:
@@ -156,7 +156,7 @@ def _measure(folder: CylinderFolder, frame: Frame, formula: Formula, output: Pat
     settings, camera = folder.settings, folder.cameras[frame.camera]
     size, lens = CylinderSize(settings.radius_m, settings.height_m), remove_distortion(camera)
     try:
-        picture = frame_picture(folder.path, frame.file, camera)
+        picture = load_frame_picture(folder.path, frame.file, camera)
     except DataError as error:
         return CylinderRow(frame, reason=str(error))
     values, fit = undistort(picture.values, camera), None

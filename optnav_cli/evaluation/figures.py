@@ -17,7 +17,7 @@ from catalog.errors import DifferenceError, NothingToDoError
 from optnav_cli.evaluation.motion import Forward
 from optnav_cli.fix import Method, Solution
 from optnav_cli.output.wording import format_length
-from optnav_cli.reasons import ReasonCode, distinct_texts
+from optnav_cli.reasons import ReasonCode, format_distinct
 
 FROM_AFAR = tuple(reversed(Method))  # as an approaching craft uses them
 STATED_SIGMAS = 3.0
@@ -285,7 +285,7 @@ def _solved(figures: Figures, limits: Limits) -> Iterator[LimitCheck]:
     figure = figures.solved / max(figures.frames, 1) if share else figures.solved
     words, wanted = f"{figures.solved} of {figures.frames} frames are solved", f"{limit}"
     if share:
-        percent, wanted = (f"{n} %" for n in distinct_texts(100.0 * figure, 100.0 * limit, 1))
+        percent, wanted = (f"{n} %" for n in format_distinct(100.0 * figure, 100.0 * limit, 1))
         words = f"{words} ({percent})"
     yield LimitCheck(
         "min_solved", limit, figure, figure >= limit, f"{words}, fewer than the limit of {wanted}"
@@ -305,7 +305,7 @@ def _of_solved(figures: Figures, limits: Limits) -> Iterator[LimitCheck]:
             metres = " m" if name.endswith("_m") else ""
             shown, most = format_length(figure) if metres else f"{figure:.3g}", f"{limit:g}{metres}"
             if abs(figure - limit) < 0.01 * limit:
-                shown, most = (f"{n}{metres}" for n in distinct_texts(figure, limit, 2))
+                shown, most = (f"{n}{metres}" for n in format_distinct(figure, limit, 2))
             text = f"{words.format(shown)} passes the limit of {most}"
             # not >, so that a figure which is no number is reported
             yield LimitCheck(name, limit, figure, figure <= limit, text)

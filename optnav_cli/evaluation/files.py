@@ -11,9 +11,9 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
-from catalog.files import replacing_file, starts_with
+from catalog.files import make_prefix_test, replace_file
 from catalog.geometry.rotations import ARCSEC
-from catalog.progress import logged_stage
+from catalog.progress import log_stage
 from catalog.tables import CsvRow
 from optnav_cli.evaluation.evaluation import Evaluation, evaluate
 from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures
@@ -180,7 +180,7 @@ def evaluate_run(run: Path, truth: Path) -> Evaluation:
 
     Raises DataError for a folder that is no run, a damaged file, a truth of other frames.
     """
-    with logged_stage("evaluate"):
+    with log_stage("evaluate"):
         folder = read_run(run)
         rows, radius_m = folder.solutions, folder.attitude.body.radius_m
         truths = read_truth(truth, folder.attitude)
@@ -208,9 +208,9 @@ def write_evaluation(evaluation: Evaluation, folder: Path) -> None:
     """
     evaluation.figures()
     text = format_json(summary_of(evaluation)) + "\n"
-    with replacing_file(folder / EVALUATION_CSV, starts_with(b"file,utc,status,")) as path:
+    with replace_file(folder / EVALUATION_CSV, make_prefix_test(b"file,utc,status,")) as path:
         EVALUATION.write(path, map(error_cells, evaluation.frames))
-    with replacing_file(folder / EVALUATION_JSON, starts_with(b'{\n  "frames"')) as path:
+    with replace_file(folder / EVALUATION_JSON, make_prefix_test(b'{\n  "frames"')) as path:
         path.write_text(text, encoding="utf-8")
 
 

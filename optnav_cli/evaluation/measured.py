@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError, NothingToDoError
-from catalog.files import replacing_file, starts_with
+from catalog.files import make_prefix_test, replace_file
 from catalog.geometry.rotations import ARCSEC, rotation_from_quaternion
-from catalog.progress import logged_stage
+from catalog.progress import log_stage
 from catalog.tables import CsvRow, CsvTable
 from optnav_cli.evaluation.files import EVALUATION_CSV, EVALUATION_JSON
 from optnav_cli.frames.run_settings import RUN_TOML, FileAttitude, read_run_settings
@@ -125,7 +125,7 @@ def evaluate_stars(run: Path, truth: Path) -> MeasuredEvaluation:
     Raises DataError for a damaged table, a truth of other pictures or without quaternions, and
     NothingToDoError where no picture has an attitude.
     """
-    with logged_stage("evaluate"):
+    with log_stage("evaluate"):
         rows, true = ATTITUDES.rows(run / "attitudes.csv"), _true_rows(truth, STAR_TRUTH)
         attitude = None
         if (truth.parent / RUN_TOML).exists():
@@ -154,7 +154,7 @@ def evaluate_cylinder(run: Path, truth: Path) -> MeasuredEvaluation:
     Raises DataError for a damaged table or a truth of other pictures, NothingToDoError where no
     picture is solved.
     """
-    with logged_stage("evaluate"):
+    with log_stage("evaluate"):
         rows, true = CYLINDER.rows(run / "cylinder.csv"), _true_rows(truth, CYLINDER_TRUTH)
         errors: list[MeasuredError] = []
         for row in _solved(rows):
@@ -173,9 +173,9 @@ def evaluate_cylinder(run: Path, truth: Path) -> MeasuredEvaluation:
 
 def write_measured(evaluation: MeasuredEvaluation, folder: Path) -> None:
     """Write evaluation.json and evaluation.csv into a run folder."""
-    with replacing_file(folder / EVALUATION_CSV, starts_with(b"file,quantity,")) as path:
+    with replace_file(folder / EVALUATION_CSV, make_prefix_test(b"file,quantity,")) as path:
         MEASURED.write(path, (error.cells() for error in evaluation.errors))
-    with replacing_file(folder / EVALUATION_JSON, starts_with(b'{\n  "kind"')) as path:
+    with replace_file(folder / EVALUATION_JSON, make_prefix_test(b'{\n  "kind"')) as path:
         path.write_text(format_json(evaluation.summary()) + "\n", encoding="utf-8")
 
 

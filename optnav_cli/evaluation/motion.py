@@ -118,7 +118,7 @@ def other_frame(
         if not truth.has_attitude:
             continue
         inertial_from_body = attitude.inertial_from_body(truth.tdb_s)
-        written = attitude.written(truth.camera_from_body, truth.tdb_s)
+        written = attitude.convert_for_file(truth.camera_from_body, truth.tdb_s)
         for name, reading in READINGS.items():
             true = reading(written, inertial_from_body)
             angles[name].append(float((solution.camera_from_body * true.inv()).magnitude()))

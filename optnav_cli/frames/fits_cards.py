@@ -18,7 +18,7 @@ def read_cards(header: bytes) -> Iterator[tuple[str, str, str]]:
     for start in range(0, len(header), CARD):
         card = header[start : start + CARD].decode("latin-1")
         if card.startswith("CONTINUE  ") and held is not None and held[1].endswith("&"):
-            text, comment, _ = _value(card[10:])
+            text, comment, _ = _split_value(card[10:])
             held = held[0], held[1][:-1] + text, f"{held[2]} {comment}".strip()
             continue
         if held is not None:
@@ -28,7 +28,7 @@ def read_cards(header: bytes) -> Iterator[tuple[str, str, str]]:
         if card[8:10] != "= " and long is None:
             continue
         key, after = (long[1], long[2]) if long is not None else (card[:8].strip(), card[10:])
-        text, comment, is_text = _value(after)
+        text, comment, is_text = _split_value(after)
         if is_text:
             held = " ".join(key.split()), text, comment
         else:
@@ -37,7 +37,7 @@ def read_cards(header: bytes) -> Iterator[tuple[str, str, str]]:
         yield held[0], held[1].strip(), held[2]
 
 
-def _value(text: str) -> tuple[str, str, bool]:
+def _split_value(text: str) -> tuple[str, str, bool]:
     """Value and comment of the part of a card after the sign, and whether it is a quoted text."""
     text = text.strip()
     quoted = _QUOTED.match(text)

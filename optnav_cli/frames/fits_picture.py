@@ -75,7 +75,7 @@ class FitsUnit(NamedTuple):
     @property
     def axes(self) -> list[int]:
         """Lengths of the axes."""
-        return [_integer(self.cards, f"NAXIS{i + 1}") for i in range(_axis_count(self.cards))]
+        return [_read_integer(self.cards, f"NAXIS{i + 1}") for i in range(_count_axes(self.cards))]
 
     @property
     def is_picture(self) -> bool:
@@ -106,7 +106,7 @@ def find_unit(path: Path, extension: str = "") -> FitsUnit:
     units = []
     try:
         with path.open("rb") as file:
-            for unit in _units(path, file):
+            for unit in _read_units(path, file):
                 units.append(unit)
                 if _is_wanted(unit, extension):
                     return unit
@@ -116,12 +116,12 @@ def find_unit(path: Path, extension: str = "") -> FitsUnit:
         compressed = [unit for unit in units if unit.is_compressed]
         if compressed:
             return compressed[0]
-    there = ", ".join(_described(unit) for unit in units[:8])
+    there = ", ".join(_describe_unit(unit) for unit in units[:8])
     wanted = f"no extension '{extension}'" if extension else "no picture of two axes"
     raise DataError(f"{path}: has {wanted}; there are {there}")
 
 
-def fits_headers(path: Path, extension: str = "") -> bytes:
+def read_fits_headers(path: Path, extension: str = "") -> bytes:
     """Cards of the unit with the picture, then those of the first unit, with the END card.
 
     Those of the first alone where no extension is named and none has a picture.
@@ -139,7 +139,7 @@ def fits_headers(path: Path, extension: str = "") -> bytes:
     return b"".join([every[0], unit.header, *others, b"END".ljust(CARD)])
 
 
-def fits_shape(unit: FitsUnit) -> tuple[int, int]:
+def get_fits_shape(unit: FitsUnit) -> tuple[int, int]:
     """Rows and columns of a unit's picture."""
     columns, rows = unit.axes[:2]
     return rows, columns
@@ -153,11 +153,13 @@ def read_fits(path: Path, unit: FitsUnit) -> StoredPixels:
     """
     check_keywords(path, unit.cards.items(), KEYWORDS)
     if not unit.is_picture:
-        raise DataError(f"{path}: {_described(unit)} is no picture; wanted an image of two axes")
+        raise DataError(
+            f"{path}: {_describe_unit(unit)} is no picture; wanted an image of two axes"
+        )
     bitpix = unit.cards.get("BITPIX", "")
     if bitpix not in _TYPES:
         raise DataError(f"{path}: states BITPIX = {bitpix}; wanted {', '.join(_TYPES)}")
-    layout, (rows, columns) = np.dtype(_TYPES[bitpix]), fits_shape(unit)
+    layout, (rows, columns) = np.dtype(_TYPES[bitpix]), get_fits_shape(unit)
     size = rows * columns * layout.itemsize
     if size > MAX_BYTES:
         raise DataError(
@@ -172,9 +174,9 @@ def read_fits(path: Path, unit: FitsUnit) -> StoredPixels:
     stored = stored.astype(layout.newbyteorder("="))
     missing = np.isnan(stored) if stored.dtype.kind == "f" else np.zeros((1, 1), np.bool_)
     if "BLANK" in unit.cards and stored.dtype.kind != "f":
-        missing = stored == _number(path, unit, "BLANK")
+        missing = stored == _read_number(path, unit, "BLANK")
     scale, zero = (
-        _number(path, unit, key) if key in unit.cards else default
+        _read_number(path, unit, key) if key in unit.cards else default
         for key, default in (("BSCALE", 1.0), ("BZERO", 0.0))
     )
     if scale == 0.0:
@@ -184,7 +186,9 @@ def read_fits(path: Path, unit: FitsUnit) -> StoredPixels:
     if (scale, zero) != (1.0, 0.0):
         wide = stored.astype(np.float64) * scale + zero
         values = wide.astype(kind if scale == 1.0 and kind.startswith(("u", "int8")) else "f4")
-    levels = [_number(path, unit, key) for key in ("SATURATE", "SATLEVEL") if key in unit.cards]
+    levels = [
+        _read_number(path, unit, key) for key in ("SATURATE", "SATLEVEL") if key in unit.cards
+    ]
     full = min((level for level in levels if level > 0.0), default=None)
     if _is_bottom_first(path, unit):
         values, missing = values[::-1], missing[::-1]
@@ -193,15 +197,15 @@ def read_fits(path: Path, unit: FitsUnit) -> StoredPixels:
     )
 
 
-def _units(path: Path, file: BinaryIO) -> Iterator[FitsUnit]:
+def _read_units(path: Path, file: BinaryIO) -> Iterator[FitsUnit]:
     """The units of a file, one after another. Raises DataError for a header without an end."""
     start = 0
     for number in range(MAX_UNITS):
         file.seek(start)
-        header = _header(path, file, number)
+        header = _read_header(path, file, number)
         if header is None:
             return
-        cards = _cards(header)
+        cards = _collect_cards(header)
         data = start + (len(header) // BLOCK + 1) * BLOCK
         unit = FitsUnit(number, cards, header, data)
         if number == 0 and not header.startswith(b"SIMPLE  ="):
@@ -210,12 +214,16 @@ def _units(path: Path, file: BinaryIO) -> Iterator[FitsUnit]:
         axes = unit.axes
         # random groups have a first axis of 0
         count = math.prod(axes[1:] if axes[:1] == [0] else axes) if axes else 0
-        width = abs(_integer(cards, "BITPIX")) // 8
-        count = _integer(cards, "GCOUNT", 1) * (_integer(cards, "PCOUNT") + count) if axes else 0
+        width = abs(_read_integer(cards, "BITPIX")) // 8
+        count = (
+            _read_integer(cards, "GCOUNT", 1) * (_read_integer(cards, "PCOUNT") + count)
+            if axes
+            else 0
+        )
         start = data + -(-width * count // BLOCK) * BLOCK
 
 
-def _header(path: Path, file: BinaryIO, number: int) -> bytes | None:
+def _read_header(path: Path, file: BinaryIO, number: int) -> bytes | None:
     """The cards of a header without END; None after the last unit."""
     header = b""
     while len(header) < MAX_HEADER:
@@ -231,18 +239,18 @@ def _header(path: Path, file: BinaryIO, number: int) -> bytes | None:
     raise DataError(f"{path}: its FITS header has no end; get the file again")
 
 
-def _cards(header: bytes) -> dict[str, str]:
+def _collect_cards(header: bytes) -> dict[str, str]:
     values: dict[str, str] = {}
     for key, text, _ in read_cards(header):
         values.setdefault(key, text)
     return values
 
 
-def _axis_count(cards: dict[str, str]) -> int:
-    return min(_integer(cards, "NAXIS"), MAX_AXES)
+def _count_axes(cards: dict[str, str]) -> int:
+    return min(_read_integer(cards, "NAXIS"), MAX_AXES)
 
 
-def _integer(cards: dict[str, str], key: str, default: int = 0) -> int:
+def _read_integer(cards: dict[str, str], key: str, default: int = 0) -> int:
     """A card's whole number, at least 0 and at most 2^40; the default where it has none."""
     text = cards.get(key, "")
     negative = text.startswith("-") and key == "BITPIX"
@@ -250,7 +258,7 @@ def _integer(cards: dict[str, str], key: str, default: int = 0) -> int:
     return min(int(digits[:13]), 1 << 40) if re.fullmatch(r"[0-9]+", digits) else default
 
 
-def _number(path: Path, unit: FitsUnit, key: str) -> float:
+def _read_number(path: Path, unit: FitsUnit, key: str) -> float:
     text = unit.cards[key]
     try:
         number = float(text.upper().replace("D", "E"))
@@ -268,7 +276,7 @@ def _is_wanted(unit: FitsUnit, extension: str) -> bool:
     return extension.strip().casefold() == name or extension.strip() == str(unit.number)
 
 
-def _described(unit: FitsUnit) -> str:
+def _describe_unit(unit: FitsUnit) -> str:
     size = " x ".join(str(length) for length in unit.axes) or "no data"
     name = unit.cards.get("EXTNAME", unit.cards.get("XTENSION", ""))
     return f"{unit.number} {name} ({size})".replace("  ", " ")

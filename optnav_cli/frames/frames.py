@@ -96,17 +96,17 @@ def read_frames(
                 f"{path}: '{name}' stands in rows {first[name]} and {number}; "
                 "give each picture one row"
             )
-    return [_frame(row, attitude, cameras, timeless) for row in rows]
+    return [_read_frame(row, attitude, cameras, timeless) for row in rows]
 
 
 def write_frames(
     path: Path, attitude: FileAttitude, frames: Iterable[Frame], cameras: Mapping[str, Camera]
 ) -> None:
     """Write a frames.csv that `read_frames` reads back. The frames need a usable time."""
-    FRAMES.write(path, (_cells(frame, attitude, cameras) for frame in frames))
+    FRAMES.write(path, (_make_cells(frame, attitude, cameras) for frame in frames))
 
 
-def _frame(
+def _read_frame(
     row: CsvRow, attitude: FileAttitude, cameras: Mapping[str, Camera], timeless: bool
 ) -> Frame:
     file, utc, camera = row["file"], row["utc"], row["camera"]
@@ -120,15 +120,15 @@ def _frame(
             hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
             raise DataError(f"camera '{camera}' has no file in cameras/; {hint}")
         tdb_s = None if timeless and not utc else utc_to_tdb_s(utc, "utc")
-        position, position_sigma = _position(row, attitude)
-        sigma = _sigma(row, "attitude_sigma_arcsec", MIN_ATTITUDE_ARCSEC, MAX_ATTITUDE_ARCSEC)
-        written = _unit(row, QUATERNION, "the quaternion qw, qx, qy, qz")
+        position, position_sigma = _read_position(row, attitude)
+        sigma = _read_sigma(row, "attitude_sigma_arcsec", MIN_ATTITUDE_ARCSEC, MAX_ATTITUDE_ARCSEC)
+        written = _read_unit_vector(row, QUATERNION, "the quaternion qw, qx, qy, qz")
         if tdb_s is None and attitude.name != "camera_from_body":
             raise DataError("utc is empty, and attitudes are against the stars; add the time")
         time = math.nan if tdb_s is None else tdb_s  # a body-fixed attitude needs none
         common = float(np.hypot(attitude.sigma_rad(time), cameras[camera].boresight_sigma_rad))
         rotation = None if written is None else rotation_from_quaternion(*written)
-        sun = _unit(row, SUN, "the Sun's direction sun_x, sun_y, sun_z")
+        sun = _read_unit_vector(row, SUN, "the Sun's direction sun_x, sun_y, sun_z")
         sun_body = None if tdb_s is None else attitude.ephemeris.sun_body(tdb_s)
         if sun is not None:
             sun_body = attitude.places.rotate_to_catalog(sun / float(np.linalg.norm(sun)))
@@ -138,7 +138,7 @@ def _frame(
             utc=utc,
             camera=camera,
             tdb_s=tdb_s,
-            camera_from_body=None if turn is None else cameras[camera].aligned(turn),
+            camera_from_body=None if turn is None else cameras[camera].apply_boresight(turn),
             attitude_sigma_rad=None if sigma is None else float(np.hypot(sigma * ARCSEC, common)),
             common_sigma_rad=common,
             position_m=position,
@@ -149,9 +149,9 @@ def _frame(
         return Frame(file=file, utc=utc, camera=camera, problem=str(error))
 
 
-def time_sigma(row: CsvRow) -> float | None:
+def read_time_sigma(row: CsvRow) -> float | None:
     """1 sigma of a row's time, s; None where it states none. Raises DataError."""
-    return _sigma(row, "utc_sigma_s", 0.0, MAX_TIME_SIGMA_S)
+    return _read_sigma(row, "utc_sigma_s", 0.0, MAX_TIME_SIGMA_S)
 
 
 def picture_path(folder: Path, file: str) -> Path:
@@ -169,7 +169,7 @@ def _check_name(file: str) -> None:
         raise DataError(f"picture '{file}' lies outside the folder; name one inside it")
 
 
-def _unit(row: CsvRow, columns: Sequence[str], what: str) -> FloatArray | None:
+def _read_unit_vector(row: CsvRow, columns: Sequence[str], what: str) -> FloatArray | None:
     """A vector (n,) of unit length, as far as its digits go; None where it is not given."""
     vector = row.vector(columns)
     length = 1.0 if vector is None else math.hypot(*vector)  # numpy's warns of large numbers
@@ -180,7 +180,7 @@ def _unit(row: CsvRow, columns: Sequence[str], what: str) -> FloatArray | None:
     return vector
 
 
-def _sigma(row: CsvRow, column: str, least: float, most: float) -> float | None:
+def _read_sigma(row: CsvRow, column: str, least: float, most: float) -> float | None:
     """A sigma, 0 or within bounds; None where it is not given."""
     value = row.number(column)
     if value is not None and value != 0.0 and not least <= value <= most:
@@ -189,8 +189,8 @@ def _sigma(row: CsvRow, column: str, least: float, most: float) -> float | None:
     return value
 
 
-def _position(row: CsvRow, attitude: FileAttitude) -> tuple[FloatArray | None, float | None]:
-    sigma = _sigma(row, "position_sigma_m", 0.0, MAX_DISTANCE_M)
+def _read_position(row: CsvRow, attitude: FileAttitude) -> tuple[FloatArray | None, float | None]:
+    sigma = _read_sigma(row, "position_sigma_m", 0.0, MAX_DISTANCE_M)
     position, body = row.vector(POSITION), attitude.body
     if position is None:
         return None, None
@@ -207,7 +207,7 @@ def _position(row: CsvRow, attitude: FileAttitude) -> tuple[FloatArray | None, f
     return attitude.places.transform_to_catalog(position), sigma / attitude.places.scale
 
 
-def _cells(
+def _make_cells(
     frame: Frame, attitude: FileAttitude, cameras: Mapping[str, Camera]
 ) -> dict[str, object]:
     cells: dict[str, object] = {"file": frame.file, "utc": frame.utc, "camera": frame.camera}
@@ -215,7 +215,9 @@ def _cells(
     cells["attitude_sigma_arcsec"] = None if sigma is None else sigma / ARCSEC
     if frame.camera_from_body is not None and frame.tdb_s is not None:
         camera, turn = cameras.get(frame.camera), frame.camera_from_body
-        rotation = attitude.written(camera.stated(turn) if camera else turn, frame.tdb_s)
+        rotation = attitude.convert_for_file(
+            camera.remove_boresight(turn) if camera else turn, frame.tdb_s
+        )
         cells |= zip(QUATERNION, quaternion_from_rotation(rotation), strict=True)
     places = attitude.places
     if frame.position_m is not None:

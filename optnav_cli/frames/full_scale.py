@@ -24,7 +24,7 @@ def find_full_scale(values: NDArray[np.generic]) -> float | None:
 
     values  of pixels that have one, of any shape and real type
     """
-    levels, many = _upper_levels(values)
+    levels, many = _count_upper_levels(values)
     if len(levels) < 2:
         return None
     above = np.cumsum(many[::-1])[::-1] - many
@@ -32,7 +32,7 @@ def find_full_scale(values: NDArray[np.generic]) -> float | None:
     if not highest.size:
         return None
     top = int(highest[-1])
-    quantum = _quantum(levels)
+    quantum = _find_quantum(levels)
     low = top
     while (
         low > 0
@@ -46,7 +46,7 @@ def find_full_scale(values: NDArray[np.generic]) -> float | None:
     return None if many[near].sum() > MAX_BELOW_SHARE * clipped else float(levels[low])
 
 
-def _upper_levels(values: NDArray[np.generic]) -> tuple[FloatArray, IntArray]:
+def _count_upper_levels(values: NDArray[np.generic]) -> tuple[FloatArray, IntArray]:
     """Different values in rising order and how many pixels have each; of the upper half alone."""
     flat = values.ravel()
     if values.dtype.kind == "u" and values.dtype.itemsize <= 2:
@@ -60,7 +60,7 @@ def _upper_levels(values: NDArray[np.generic]) -> tuple[FloatArray, IntArray]:
     return levels, many.astype(np.int64)
 
 
-def _quantum(levels: FloatArray) -> float:
+def _find_quantum(levels: FloatArray) -> float:
     """The step that values are whole multiples of, as 257 of 8 bits that were spread over 16."""
     steps = np.diff(levels)
     if (steps == np.rint(steps)).all() and steps.max() < 2**53:

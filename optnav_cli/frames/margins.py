@@ -41,22 +41,22 @@ def find_margins(values: NDArray[np.generic], missing: BoolArray | None) -> Bool
     if sample.size == 0:
         return None
     low, bright = (float(level) for level in np.quantile(sample, (0.01, 0.995)))
-    for value in _candidates(values, float(sample.min())):
+    for value in _list_candidates(values, float(sample.min())):
         if not value <= low + 0.1 * (bright - low) < bright:
             continue
         dark = value + DARK_SHARE * (bright - value)
         same = np.asarray(values == value)
         if missing is not None:
             same &= ~missing
-        margin = _straight(values, same, dark)
+        margin = _find_straight(values, same, dark)
         if _is_no_sky(sample[sample != value], sample.size, dark, bright - value):
-            margin |= _ragged(values, same, sample.size, dark, bright - value)
+            margin |= _find_ragged(values, same, sample.size, dark, bright - value)
         if margin.any():
             return margin
     return None
 
 
-def _candidates(values: NDArray[np.generic], lowest: float) -> list[float]:
+def _list_candidates(values: NDArray[np.generic], lowest: float) -> list[float]:
     """The lowest value, and those of several corners and middles of the border, darkest first."""
     height, width = values.shape
     rows, columns = (0, height // 2, height - 1), (0, width // 2, width - 1)
@@ -65,10 +65,10 @@ def _candidates(values: NDArray[np.generic], lowest: float) -> list[float]:
     return sorted(several | {lowest})[:2]
 
 
-def _straight(values: NDArray[np.generic], same: BoolArray, dark: float) -> BoolArray:
+def _find_straight(values: NDArray[np.generic], same: BoolArray, dark: float) -> BoolArray:
     """Whole lines at the border of one value, behind which bright ground begins at once."""
     margin = np.zeros(same.shape, np.bool_)
-    for marked, lines, shown in _sides(same, values, margin):
+    for marked, lines, shown in _iterate_sides(same, values, margin):
         full = np.asarray(marked.all(axis=1), np.bool_)
         count = len(full) if full.all() else int(np.argmin(full))
         if not 0 < count < len(full) - BEHIND_PX:
@@ -83,7 +83,7 @@ def _straight(values: NDArray[np.generic], same: BoolArray, dark: float) -> Bool
     return margin
 
 
-def _sides(
+def _iterate_sides(
     same: BoolArray, values: NDArray[np.generic], margin: BoolArray
 ) -> Iterator[tuple[BoolArray, NDArray[np.generic], BoolArray]]:
     """Views of three pictures, the lines of each side of the border first."""
@@ -92,7 +92,7 @@ def _sides(
         yield turned[0][::-1], turned[1][::-1], turned[2][::-1]
 
 
-def _ragged(
+def _find_ragged(
     values: NDArray[np.generic], same: BoolArray, count: int, dark: float, span: float
 ) -> BoolArray:
     """Pixels in long runs of one value along rows or columns that are not the sky."""

@@ -49,7 +49,7 @@ class MountSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         """1 sigma an axis, rad."""
         return self.error_arcsec * ARCSEC
 
-    def toml(self) -> str:
+    def format_toml(self) -> str:
         """The section as run.toml has it."""
         return (
             f'\n[[mount]]\ncamera = "{self.camera}"\n'
@@ -76,7 +76,7 @@ def check_mounts(mounts: Sequence[MountSettings]) -> None:
             )
 
 
-def stereo_pair(mounts: Sequence[MountSettings]) -> tuple[MountSettings, MountSettings]:
+def select_stereo_pair(mounts: Sequence[MountSettings]) -> tuple[MountSettings, MountSettings]:
     """The two mounts of a stereo pair. Raises ConfigError for others, or without a base."""
     if len(mounts) != 2:
         raise ConfigError(

@@ -42,7 +42,7 @@ class Observation:
         return f"{self.camera.name} camera, {self.file}"
 
 
-def observation_of(frame: Frame, camera: Camera, picture: Picture) -> Observation:
+def make_observation(frame: Frame, camera: Camera, picture: Picture) -> Observation:
     """A frame with its picture. Raises NoSolutionError where its attitude or the Sun is missing."""
     if frame.camera_from_body is None:
         raise NoSolutionError("no attitude: the quaternion is empty", ReasonCode.NO_ATTITUDE)

@@ -26,16 +26,16 @@ LOWER = tuple((i, j) for i, j in product(range(6), range(6)) if j <= i)
 _POWERS = ("m2", "m2_s", "m2_s2")
 
 
-def _covariance_name(i: int, j: int) -> str:
+def _format_covariance_name(i: int, j: int) -> str:
     apart = "_" if i > 2 else ""
     return f"cov_{_NAMES[i]}{apart}{_NAMES[j]}_{_POWERS[(i > 2) + (j > 2)]}"
 
 
-STATE_COVARIANCE = tuple(_covariance_name(i, j) for i, j in LOWER)
+STATE_COVARIANCE = tuple(_format_covariance_name(i, j) for i, j in LOWER)
 SIGMAS_OF_STATE = ("sigma_r_m", "sigma_n_m", "sigma_b_m")
 
 
-def _states(empty: bool = True) -> list[CsvColumn]:
+def _make_state_columns(empty: bool = True) -> list[CsvColumn]:
     """Six columns each of a state: body-fixed, and inertial."""
     states = []
     for frame, names in (("body frame", BODY_STATE), ("inertial", INERTIAL)):
@@ -162,7 +162,7 @@ QSO = CsvTable(
         number("longitude_deg", "east longitude of the passes", "deg", ".6g", empty=False),
         text("utc", "time of the start, UTC"),
         number("anomaly_deg", "mean anomaly of the moon at the start", "deg", "z.3f", empty=False),
-        *(STATUS, *_states()),
+        *(STATUS, *_make_state_columns()),
         number("radius_km", "distance of the start from the centre", "km", "z.4f"),
         number("spread_km", "largest difference of a pass from the start", "km", "z.4f"),
         number("ring_km", "distance of the farthest pass less the nearest", "km", "z.4f"),
@@ -185,7 +185,7 @@ QSO_PASSES = CsvTable(
         text("utc", "time of the pass, UTC"),
         number("distance_km", "distance from the surface", "km", "z.4f", empty=False),
         number("rate", "`rate` of the revolution before", "", "z.5f"),
-        *_states(empty=False),
+        *_make_state_columns(empty=False),
     )
 )
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import DataError
 from catalog.inputs import check_input
-from catalog.rasters import PICTURES, open_raster, reading_raster
+from catalog.rasters import PICTURES, handle_read_errors, open_raster
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import MAX_PIXELS
-from optnav_cli.frames.fits_picture import find_unit, fits_shape, is_fits, read_fits
+from optnav_cli.frames.fits_picture import find_unit, get_fits_shape, is_fits, read_fits
 from optnav_cli.frames.frames import picture_path
 from optnav_cli.frames.full_scale import find_full_scale
 from optnav_cli.frames.margins import find_margins
@@ -65,7 +65,7 @@ class Picture:
     valid: BoolArray | None = None
     remarks: tuple[str, ...] = ()
 
-    def loaded(self) -> "Picture":
+    def load(self) -> "Picture":
         """The picture itself, read by now."""
         return self
 
@@ -80,7 +80,7 @@ class LaterPicture(Picture):
         self._read: Callable[[], Picture]
         vars(self)["_read"] = read
 
-    def loaded(self) -> Picture:
+    def load(self) -> Picture:
         return self._read()
 
 
@@ -99,8 +99,8 @@ def load_picture(path: str | Path, camera: Camera | None) -> Picture:
     coded = camera is not None and camera.coding is not None
     remarks = check_tags(path, tags, oriented=oriented, coded=coded)
     turn = tags.get("Orientation", "1") if camera and camera.exif_orientation == "apply" else "1"
-    pixels = _turned(_read(path, camera, turn), turn, camera)
-    missing = _missing(pixels, camera)
+    pixels = _orient_pixels(_read(path, camera, turn), turn, camera)
+    missing = _mark_missing(pixels, camera)
     margins = find_margins(pixels.values, missing)
     if margins is not None:
         missing = margins if missing is None else missing | margins
@@ -108,9 +108,9 @@ def load_picture(path: str | Path, camera: Camera | None) -> Picture:
             f"{path.name}: {100.0 * margins.mean():.1f} % of its pixels are margins or lost lines "
             "of one value, and count as pixels without one"
         )
-    saturation = _saturation(path, pixels, missing, camera)
-    values, saturation = _decoded(pixels, saturation, camera)
-    values, factor = _counts(values, missing)
+    saturation = _find_saturation(path, pixels, missing, camera)
+    values, saturation = _decode_counts(pixels, saturation, camera)
+    values, factor = _scale_counts(values, missing)
     counts = values.astype(np.float32)
     saturation = None if saturation is None else saturation * factor
     remarks += pixels.remarks
@@ -120,7 +120,7 @@ def load_picture(path: str | Path, camera: Camera | None) -> Picture:
     return Picture(counts, saturation, ~missing, tuple(remarks))
 
 
-def frame_picture(folder: Path, file: str, camera: Camera) -> Picture:
+def load_frame_picture(folder: Path, file: str, camera: Camera) -> Picture:
     """The picture of a row of a folder's table, which names it as `file`.
 
     Raises DataError as `load_picture` does; its text names the picture as the row does, so that
@@ -133,11 +133,11 @@ def frame_picture(folder: Path, file: str, camera: Camera) -> Picture:
         raise type(error)(str(error).replace(str(path), file)) from None
 
 
-def _missing(pixels: StoredPixels, camera: Camera | None) -> BoolArray | None:
+def _mark_missing(pixels: StoredPixels, camera: Camera | None) -> BoolArray | None:
     """Mark the pixels (h, w) that have no value, by the file or outside the usable area."""
     missing = pixels.missing
     if camera is not None and camera.valid_mask is not None:
-        outside = _mask(Path(camera.valid_mask), camera.shape)
+        outside = _read_mask(Path(camera.valid_mask), camera.shape)
         missing = outside if missing is None else missing | outside
     if camera is not None and camera.valid_area_px is not None:
         left, top, right, bottom = camera.valid_area_px
@@ -147,10 +147,10 @@ def _missing(pixels: StoredPixels, camera: Camera | None) -> BoolArray | None:
     return missing if missing is not None and missing.any() else None
 
 
-def _mask(path: Path, shape: tuple[int, int]) -> BoolArray:
+def _read_mask(path: Path, shape: tuple[int, int]) -> BoolArray:
     """Mark the pixels (h, w) where a camera's mask picture is 0. Raises DataError."""
     check_input(path, "mask picture", "correct valid_mask of the camera file")
-    with open_raster(path, PICTURES) as dataset, reading_raster(path, siblings=False):
+    with open_raster(path, PICTURES) as dataset, handle_read_errors(path, siblings=False):
         if dataset.shape != shape:
             raise DataError(
                 f"{path}: the mask is {dataset.width} x {dataset.height}; wanted the size of the "
@@ -160,7 +160,7 @@ def _mask(path: Path, shape: tuple[int, int]) -> BoolArray:
         return outside
 
 
-def _saturation(
+def _find_saturation(
     path: Path, pixels: StoredPixels, missing: BoolArray | None, camera: Camera | None
 ) -> float | None:
     """Full scale of a picture: stated, else as clipped pixels show it, else of the file's type.
@@ -183,7 +183,7 @@ def _saturation(
     return largest if clipped is None else clipped
 
 
-def _counts(
+def _scale_counts(
     values: NDArray[np.generic], missing: BoolArray | None
 ) -> tuple[NDArray[np.generic], float]:
     """Values as they are, or brightness as I/F brought to counts; and the factor, a power of two.
@@ -209,9 +209,9 @@ def _read(path: Path, camera: Camera | None, turn: str) -> StoredPixels:
     if is_fits(path):
         unit = find_unit(path, "" if camera is None else camera.extension)
         if unit.is_picture:  # else reading it says what it is
-            _check_size(path, fits_shape(unit), camera, turn)
+            _check_size(path, get_fits_shape(unit), camera, turn)
         return read_fits(path, unit)
-    with open_raster(path, PICTURES) as dataset, reading_raster(path, siblings=False):
+    with open_raster(path, PICTURES) as dataset, handle_read_errors(path, siblings=False):
         # before its pixels are decoded: a small file can hold a huge picture
         _check_size(path, dataset.shape, camera, turn)
         return read_raster(path, dataset, None if camera is None else camera.channel)
@@ -232,7 +232,7 @@ def _check_size(path: Path, shape: tuple[int, int], camera: Camera | None, turn:
         )
 
 
-def _turned(pixels: StoredPixels, turn: str, camera: Camera | None) -> StoredPixels:
+def _orient_pixels(pixels: StoredPixels, turn: str, camera: Camera | None) -> StoredPixels:
     """Pixels in the order of the camera's rows, and turned as an EXIF orientation says."""
     values, missing = pixels.values, pixels.missing
     if camera is not None and camera.line_order == "bottom_first":
@@ -243,7 +243,7 @@ def _turned(pixels: StoredPixels, turn: str, camera: Camera | None) -> StoredPix
     return pixels._replace(values=values, missing=missing)
 
 
-def _decoded(
+def _decode_counts(
     pixels: StoredPixels, saturation: float | None, camera: Camera | None
 ) -> tuple[NDArray[np.generic], float | None]:
     """Counts that are linear in light, and their full scale."""

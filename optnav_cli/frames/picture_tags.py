@@ -66,11 +66,11 @@ def read_tags(path: Path) -> dict[str, str]:
         with path.open("rb") as file:
             head = file.read(8)
             if head == _PNG:
-                return _png_tags(path, file)
+                return _read_png_tags(path, file)
             if head[:2] == b"\xff\xd8":
-                return _jpeg_tags(file)
+                return _read_jpeg_tags(file)
             if head[:4] in (b"II*\0", b"MM\0*"):
-                return _tiff_tags(file, 0)
+                return _read_tiff_tags(file, 0)
     except OSError as error:
         raise DataError(f"{path}: the picture cannot be read: {error.strerror}") from None
     return {}
@@ -89,7 +89,7 @@ def check_tags(path: Path, tags: dict[str, str], *, oriented: bool, coded: bool)
     return check_keywords(path, stated, KEYWORDS)
 
 
-def _png_tags(path: Path, file: BinaryIO) -> dict[str, str]:
+def _read_png_tags(path: Path, file: BinaryIO) -> dict[str, str]:
     tags: dict[str, str] = {}
     kind = b""
     while kind != b"IEND":
@@ -110,7 +110,7 @@ def _png_tags(path: Path, file: BinaryIO) -> dict[str, str]:
         if kept is not None:
             after = file.tell()
             if kind == b"eXIf":
-                tags |= _tiff_tags(file, kept)
+                tags |= _read_tiff_tags(file, kept)
             elif size == 4:
                 file.seek(kept)
                 tags["gAMA"] = str(struct.unpack(">I", file.read(4))[0])
@@ -118,7 +118,7 @@ def _png_tags(path: Path, file: BinaryIO) -> dict[str, str]:
     return tags
 
 
-def _jpeg_tags(file: BinaryIO) -> dict[str, str]:
+def _read_jpeg_tags(file: BinaryIO) -> dict[str, str]:
     """Tags of the EXIF segment of a JPEG."""
     file.seek(2)
     for _ in range(MAX_SEGMENTS):
@@ -128,14 +128,14 @@ def _jpeg_tags(file: BinaryIO) -> dict[str, str]:
         start = file.tell()
         (size,) = struct.unpack(">H", head[2:])
         if head[1] == 0xE1 and file.read(6) == b"Exif\0\0":
-            tags = _tiff_tags(file, start + 6)
+            tags = _read_tiff_tags(file, start + 6)
             # a picture's own colours are those of its frame header
             return {name: tags[name] for name in ("Orientation", "Gamma") if name in tags}
         file.seek(start + max(size, 2) - 2)
     return {}
 
 
-def _tiff_tags(file: BinaryIO, base: int) -> dict[str, str]:
+def _read_tiff_tags(file: BinaryIO, base: int) -> dict[str, str]:
     """Tags of the first directory of a TIFF that begins at a byte, and of its EXIF directory."""
     file.seek(base)
     head = file.read(8)
@@ -143,14 +143,14 @@ def _tiff_tags(file: BinaryIO, base: int) -> dict[str, str]:
         return {}
     order = "<" if head[:2] == b"II" else ">"
     (first,) = struct.unpack(order + "I", head[4:])
-    tags, below = _directory(file, base, first, order)
+    tags, below = _read_directory(file, base, first, order)
     if below is not None:
-        more, _ = _directory(file, base, below, order)
+        more, _ = _read_directory(file, base, below, order)
         tags = more | tags
     return tags
 
 
-def _directory(
+def _read_directory(
     file: BinaryIO, base: int, start: int, order: str
 ) -> tuple[dict[str, str], int | None]:
     """The first value of each known tag as text, and where the EXIF directory stands."""
@@ -166,11 +166,11 @@ def _directory(
         if tag == _EXIF_FOLDER:
             (below,) = struct.unpack(order + "I", field)
         if tag in _TIFF_TAGS:
-            tags[_TIFF_TAGS[tag]] = _first_value(file, base, (kind, many, field), order)
+            tags[_TIFF_TAGS[tag]] = _read_first_value(file, base, (kind, many, field), order)
     return tags, below
 
 
-def _first_value(file: BinaryIO, base: int, entry: tuple[int, int, bytes], order: str) -> str:
+def _read_first_value(file: BinaryIO, base: int, entry: tuple[int, int, bytes], order: str) -> str:
     kind, many, field = entry
     if _SIZES.get(kind, 1) * many > 4:
         file.seek(base + struct.unpack(order + "I", field)[0])

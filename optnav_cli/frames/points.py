@@ -50,7 +50,7 @@ def read_picked_points(
     frames.csv lacks, a name twice in a picture, a number that is missing or cannot be.
     """
     by_picture: dict[str, list[PickedPoint]] = {}
-    for point, row in PICKED_POINTS.read(path, lambda row: (_point(row), row)):
+    for point, row in PICKED_POINTS.read(path, lambda row: (_read_point(row), row)):
         near = nearest_name(point.file, sorted(files))
         if point.file not in files:
             hint = f"did you mean '{near}'?" if near else "add a row for it there"
@@ -78,7 +78,7 @@ def read_picked_points(
     return by_picture
 
 
-def places_of(
+def locate_points(
     latlon_deg: FloatArray, heights_m: FloatArray, body: Body, settings: PointsSettings
 ) -> FloatArray:
     """Body-fixed places (n, 3), m, of latitudes and longitudes (n, 2) and heights (n,).
@@ -109,7 +109,7 @@ def places_of(
     return raised
 
 
-def _point(row: CsvRow) -> PickedPoint:
+def _read_point(row: CsvRow) -> PickedPoint:
     numbers = {
         name: row.number(name)
         for name in ("x_px", "y_px", "lat_deg", "lon_deg", "height_m", "sigma_px", "sigma_m")
@@ -141,7 +141,7 @@ def _point(row: CsvRow) -> PickedPoint:
 
 
 def _check_height(point: PickedPoint, where: str, body: Body, settings: PointsSettings) -> None:
-    xyz_m = places_of(point.latlon_deg[None], np.array([point.height_m]), body, settings)[0]
+    xyz_m = locate_points(point.latlon_deg[None], np.array([point.height_m]), body, settings)[0]
     height = float(np.linalg.norm(xyz_m)) - body.radius_m
     lowest, highest = body.plausible_heights_m
     if not lowest <= height <= highest:

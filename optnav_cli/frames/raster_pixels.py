@@ -14,7 +14,7 @@ from rasterio.enums import ColorInterp, MaskFlags
 
 from catalog.arrays import BoolArray
 from catalog.errors import DataError
-from catalog.rasters import OWN, open_raster, reading_raster
+from catalog.rasters import OWN, handle_read_errors, open_raster
 from catalog.special_values import ISIS, SpecialValues
 from optnav_cli.frames.stored_pixels import StoredPixels
 
@@ -37,21 +37,21 @@ def read_raster(
     """
     kind = dataset.dtypes[0]
     if dataset.colorinterp[0] == ColorInterp.palette:
-        bands, missing = _palette_bands(dataset)
+        bands, missing = _read_palette_bands(dataset)
     else:
-        bands, missing = _plain_bands(path, dataset), _masked(dataset)
-    missing = missing | _masked_beside(path, dataset.shape)
-    values, remarks = _one_band(path, bands, channel)
-    full = _stated_full_scale(dataset)
+        bands, missing = _read_plain_bands(path, dataset), _mark_masked(dataset)
+    missing = missing | _read_mask_beside(path, dataset.shape)
+    values, remarks = _merge_bands(path, bands, channel)
+    full = _read_full_scale(dataset)
     if dataset.driver in _ISIS_DRIVERS:
         special = ISIS.get(kind)
     if special is not None:
-        values, missing, marked = without_special(values, missing, special)
+        values, missing, marked = apply_special(values, missing, special)
         full = marked if full is None else full
     if values.dtype.kind == "f":
         missing = missing | np.isnan(values)
     if dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES":
-        values = np.subtract(_highest(dataset), values)
+        values = np.subtract(_find_highest(dataset), values)
     scale, offset = dataset.scales[0], dataset.offsets[0]
     if (scale, offset) != (1.0, 0.0):
         values = (values.astype(np.float64) * scale + offset).astype(np.float32)
@@ -60,7 +60,7 @@ def read_raster(
     return StoredPixels(values, kind, known, full, remarks, FULL_SCALE in dataset.tags())
 
 
-def _plain_bands(path: Path, dataset: Any) -> list[NDArray[np.generic]]:
+def _read_plain_bands(path: Path, dataset: Any) -> list[NDArray[np.generic]]:
     """Bands of gray, or of red, green and blue; those of the same content once."""
     kinds = dataset.colorinterp
     numbers = [
@@ -79,7 +79,7 @@ def _plain_bands(path: Path, dataset: Any) -> list[NDArray[np.generic]]:
     return bands
 
 
-def _palette_bands(dataset: Any) -> tuple[list[NDArray[np.generic]], BoolArray]:
+def _read_palette_bands(dataset: Any) -> tuple[list[NDArray[np.generic]], BoolArray]:
     """Red, green and blue of a picture of a palette, once where they are the same."""
     index = dataset.read(1)
     colours = np.zeros((256, 4), np.uint8)
@@ -91,7 +91,7 @@ def _palette_bands(dataset: Any) -> tuple[list[NDArray[np.generic]], BoolArray]:
     return bands[:1] if same else bands, missing
 
 
-def _one_band(
+def _merge_bands(
     path: Path, bands: list[NDArray[np.generic]], channel: Channel | None
 ) -> tuple[NDArray[np.generic], tuple[str, ...]]:
     """One band of a picture, and the remark to show."""
@@ -108,7 +108,7 @@ def _one_band(
     return np.asarray(luminance, np.float32), () if channel else (remark,)
 
 
-def _masked(dataset: Any) -> BoolArray:
+def _mark_masked(dataset: Any) -> BoolArray:
     """Mark the pixels (h, w) that GDAL's mask leaves out."""
     # GDAL takes 0 for no value in unsigned PDS3 pictures whose label names none: a dark sky is 0
     is_invented = dataset.driver == "PDS" and dataset.nodata == 0.0
@@ -118,7 +118,7 @@ def _masked(dataset: Any) -> BoolArray:
     return masked
 
 
-def mask_beside(path: Path) -> Path | None:
+def find_mask(path: Path) -> Path | None:
     """The file in which GDAL keeps the mask of a picture that cannot hold one; None without it."""
     name = f"{path.name}.msk"
     try:
@@ -127,12 +127,12 @@ def mask_beside(path: Path) -> Path | None:
         return None
 
 
-def _masked_beside(path: Path, shape: tuple[int, int]) -> BoolArray:
+def _read_mask_beside(path: Path, shape: tuple[int, int]) -> BoolArray:
     """Mark the pixels (h, w) where the mask beside a file is 0. Raises DataError for another's."""
-    file = mask_beside(path)
+    file = find_mask(path)
     if file is None:
         return np.zeros((1, 1), np.bool_)
-    with open_raster(file, OWN) as mask, reading_raster(file, siblings=False):
+    with open_raster(file, OWN) as mask, handle_read_errors(file, siblings=False):
         if mask.shape != shape:
             raise DataError(
                 f"{file}: the mask is {mask.width} x {mask.height}; wanted the picture's size, "
@@ -142,7 +142,7 @@ def _masked_beside(path: Path, shape: tuple[int, int]) -> BoolArray:
         return outside
 
 
-def _stated_full_scale(dataset: Any) -> float | None:
+def _read_full_scale(dataset: Any) -> float | None:
     """Full scale that the file states: of `import`, or by fewer bits than its type has."""
     try:
         return float(dataset.tags()[FULL_SCALE])
@@ -152,7 +152,7 @@ def _stated_full_scale(dataset: Any) -> float | None:
     return float(2 ** int(bits) - 1) if bits in {str(n) for n in range(2, 32)} else None
 
 
-def _highest(dataset: Any) -> NDArray[np.generic]:
+def _find_highest(dataset: Any) -> NDArray[np.generic]:
     """The value that is black where white is zero, of the file's type and bits."""
     kind = np.dtype(dataset.dtypes[0])
     if kind.kind != "u":
@@ -162,7 +162,7 @@ def _highest(dataset: Any) -> NDArray[np.generic]:
     return np.array([highest], kind)
 
 
-def without_special(
+def apply_special(
     stored: NDArray[np.generic], missing: BoolArray, special: SpecialValues
 ) -> tuple[NDArray[np.generic], BoolArray, float | None]:
     """Apply special values: saturated pixels get the highest valid value.

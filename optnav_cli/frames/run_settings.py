@@ -47,7 +47,7 @@ class InertialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     attitude_drift_arcsec_s: Annotated[float, Meta(ge=0.0, le=3600.0)] = 0.08
     attitude_noise_arcsec: Annotated[float, Meta(ge=0.0, le=36_000.0)] = 3.0
 
-    def row_sigmas(self, seconds: float) -> tuple[float, float]:
+    def compute_row_sigmas(self, seconds: float) -> tuple[float, float]:
         """1 sigma of a row so long after the start: position, m, and attitude, rad, an axis."""
         wander = self.acceleration_sigma_m_s2 * np.sqrt(seconds**3 / 3.0)
         position = self.position_sigma_m, self.velocity_sigma_m_s * seconds, wander
@@ -151,7 +151,7 @@ def write_run_settings(settings: RunSettings, folder: Path) -> None:
     stated = msgspec.to_builtins(settings.points)
     if stated:
         text += "\n[points]\n" + "".join(f'{name} = "{kind}"\n' for name, kind in stated.items())
-    text += "".join(mount.toml() for mount in settings.mount)
+    text += "".join(mount.format_toml() for mount in settings.mount)
     (folder / RUN_TOML).write_text(text, encoding="utf-8")
 
 
@@ -181,7 +181,7 @@ class FileAttitude:
         """Where the places of the files lie in the frame of the body's catalogs."""
         return self.body.catalog_frame
 
-    def written(self, camera_from_body: Rotation, time: float | str) -> Rotation:
+    def convert_for_file(self, camera_from_body: Rotation, time: float | str) -> Rotation:
         """The rotation to write for an attitude at a time."""
         if self.name == "camera_from_body":
             same = self.places.is_same

@@ -73,7 +73,7 @@ class Blobs:
     def __len__(self) -> int:
         return len(self.area)
 
-    def reaches_border(self, number: int) -> bool:
+    def is_at_border(self, number: int) -> bool:
         """Whether an area reaches the picture's edge, or pixels without a value."""
         if self.cut is not None and self.cut[number]:
             return True
@@ -102,9 +102,9 @@ class Segmented:
     @cached_property
     def blobs(self) -> Blobs:
         """The areas above the levels' threshold."""
-        return lit_blobs(self.picture, self.levels.threshold)
+        return find_lit_blobs(self.picture, self.levels.threshold)
 
-    def raised(self, share: float) -> "Segmented":
+    def raise_threshold(self, share: float) -> "Segmented":
         """The picture with a threshold no lower than a share of the way to the lit ground."""
 
         def make() -> Segmented:
@@ -116,7 +116,7 @@ class Segmented:
         made: Segmented = self.made.get(("raised", share), make)
         return made
 
-    def largest_alone(self, least_pixels: int) -> "Segmented | None":
+    def select_largest(self, least_pixels: int) -> "Segmented | None":
         """The picture without its small lit areas of so many pixels and more.
 
         Many small ones are burnt-in text, or stars. None where there is none, or where the second
@@ -128,7 +128,7 @@ class Segmented:
             return None
 
         def make() -> Segmented:
-            values = without_blobs(self.picture, blobs, small.tolist(), self.levels.sky)
+            values = remove_blobs(self.picture, blobs, small.tolist(), self.levels.sky)
             return Segmented(values, self.levels)
 
         made: Segmented = self.made.get("largest alone", make)
@@ -140,11 +140,11 @@ def measure_levels(picture: Float32Array) -> Levels:
 
     Raises NoSolutionError for a picture in which nothing stands out of the noise.
     """
-    mean = _block_means(picture)
+    mean = _average_blocks(picture)
     sky_mean = float(np.quantile(mean, SKY_QUANTILE))
-    sky, variance = _sky(picture, sky_mean)
+    sky, variance = _measure_sky(picture, sky_mean)
     noise = float(np.sqrt(max(variance, ROUNDING_VARIANCE)))
-    peak = _peak(picture)
+    peak = _find_peak(picture)
     if peak - sky < MIN_CONTRAST_SIGMAS * noise and mean.std() > max(0.25 * noise, 1.0):
         # pixels of noise alone average out in a block
         raise NoSolutionError(
@@ -166,7 +166,7 @@ def measure_levels(picture: Float32Array) -> Levels:
     return Levels(sky, noise, bright, peak, sky + rise)
 
 
-def _block_means(picture: Float32Array) -> Float32Array:
+def _average_blocks(picture: Float32Array) -> Float32Array:
     """Means of blocks; of those without gaps (k,) where the picture has pixels without a value."""
     height, width = picture.shape
     rows, cols = max(height // BLOCK_PX, 1), max(width // BLOCK_PX, 1)
@@ -180,7 +180,7 @@ def _block_means(picture: Float32Array) -> Float32Array:
 
 
 @kernel
-def _sky(picture: Float32Array, darkest: float) -> tuple[float, float]:
+def _measure_sky(picture: Float32Array, darkest: float) -> tuple[float, float]:
     """Mean and variance of the pixels that are sky, from the mean of the darkest blocks.
 
     Neighbouring blocks of the same level are sky too; the scatter inside the blocks shows it.
@@ -211,7 +211,7 @@ def _sky(picture: Float32Array, darkest: float) -> tuple[float, float]:
 
 
 @kernel
-def _peak(picture: Float32Array) -> float:
+def _find_peak(picture: Float32Array) -> float:
     """Highest mean of 3 x 3 pixels, those beyond the edge mirrored at it."""
     rows, cols = picture.shape
     line, highest = np.empty(cols), np.full(cols, -np.inf)
@@ -232,13 +232,13 @@ def _peak(picture: Float32Array) -> float:
     return float(np.float32(highest.max() / 9.0))
 
 
-def lit_blobs(picture: Float32Array, threshold: float) -> Blobs:
+def find_lit_blobs(picture: Float32Array, threshold: float) -> Blobs:
     """Areas of a picture (h, w) above a threshold, joined over corners."""
     mask = (picture > threshold).view(np.uint8)
     # not connectedComponentsWithStats: it takes eight times as long
     count, components = cv2.connectedComponents(mask, connectivity=8)
     labels = np.asarray(components, np.int32)
-    area, box = _sizes(labels, count)
+    area, box = _measure_sizes(labels, count)
     order = np.argsort(-area, kind="stable")
     gaps = np.isnan(picture)
     cut = None
@@ -251,7 +251,7 @@ def lit_blobs(picture: Float32Array, threshold: float) -> Blobs:
 
 
 @kernel
-def _sizes(labels: Int32Array, count: int) -> tuple[IntArray, IntArray]:
+def _measure_sizes(labels: Int32Array, count: int) -> tuple[IntArray, IntArray]:
     """Area (k,) and box (k, 4: left, top, width, height) of the labels from 1 to count - 1."""
     rows, cols = labels.shape
     area, box = np.zeros(count, np.int64), np.zeros((count, 4), np.int64)
@@ -269,7 +269,7 @@ def _sizes(labels: Int32Array, count: int) -> tuple[IntArray, IntArray]:
     return area[1:], box[1:]
 
 
-def without_smear(picture: Float32Array, levels: Levels) -> Float32Array | None:
+def remove_smear(picture: Float32Array, levels: Levels) -> Float32Array | None:
     """A picture (h, w) without the stripes of a bright body's columns, or rows; None: it has none.
 
     A sensor without a shutter collects light while it is read, so that a body leaves stripes over
@@ -297,7 +297,7 @@ def without_smear(picture: Float32Array, levels: Levels) -> Float32Array | None:
     return None
 
 
-def without_blobs(
+def remove_blobs(
     picture: Float32Array, blobs: Blobs, labels: Sequence[int], sky: float
 ) -> Float32Array:
     """A picture (h, w) with the sky's level in place of some lit areas and of their blur."""

@@ -49,7 +49,7 @@ def read_truth(path: str | Path, attitude: FileAttitude) -> list[Truth]:
         try:
             if row["file"] in truths:
                 raise DataError("the file stands there twice; keep one row")
-            truths[row["file"]] = _truth(row, attitude)
+            truths[row["file"]] = _read_truth(row, attitude)
         except (DataError, ValueError) as error:
             raise DataError(f"{path}: row {index + 1} ({row['file']}): {error}") from None
     return list(truths.values())
@@ -57,10 +57,10 @@ def read_truth(path: str | Path, attitude: FileAttitude) -> list[Truth]:
 
 def write_truth(path: str | Path, attitude: FileAttitude, truths: Iterable[Truth]) -> None:
     """Write a truth.csv with the rotation that `attitude` names."""
-    TRUTH.write(Path(path), (_cells(truth, attitude) for truth in truths))
+    TRUTH.write(Path(path), (_make_cells(truth, attitude) for truth in truths))
 
 
-def _truth(row: CsvRow, attitude: FileAttitude) -> Truth:
+def _read_truth(row: CsvRow, attitude: FileAttitude) -> Truth:
     if row.problem:
         raise DataError(row.problem)
     position, quaternion = row.vector(POSITION), row.vector(QUATERNION)
@@ -78,10 +78,10 @@ def _truth(row: CsvRow, attitude: FileAttitude) -> Truth:
     return Truth(row["file"], row["utc"], tdb_s, position_m, camera_from_body)
 
 
-def _cells(truth: Truth, attitude: FileAttitude) -> dict[str, object]:
+def _make_cells(truth: Truth, attitude: FileAttitude) -> dict[str, object]:
     cells: dict[str, object] = {"file": truth.file, "utc": truth.utc}
     cells |= zip(POSITION, attitude.places.transform_to_stated(truth.position_m), strict=True)
     if truth.has_attitude:
-        rotation = attitude.written(truth.camera_from_body, truth.tdb_s)
+        rotation = attitude.convert_for_file(truth.camera_from_body, truth.tdb_s)
         cells |= zip(QUATERNION, quaternion_from_rotation(rotation), strict=True)
     return cells

@@ -11,9 +11,9 @@ import numpy as np
 from catalog.arrays import Float32Array
 from catalog.bodies.body import load_body
 from catalog.errors import DataError, DifferenceError, NothingToDoError
-from catalog.files import replacing_file, starts_with
+from catalog.files import make_prefix_test, replace_file
 from catalog.geometry.projection import Stereographic
-from catalog.progress import logged_stage
+from catalog.progress import log_stage
 from catalog.tables import CsvRow
 from catalog.terrain.dem.source import DemSource
 from catalog.terrain.slopes import (
@@ -92,7 +92,7 @@ def evaluate_pads(folder: Path, truth: Path) -> tuple[PadFigures, list[JudgedPad
 
     Raises DataError for files that cannot be used, NothingToDoError where no pad can be judged.
     """
-    with logged_stage("evaluate"):
+    with log_stage("evaluate"):
         manifest = read_manifest(folder)
         rows = PADS.rows(folder / PADS_FILE)
         chosen = [row for row in rows if row["x_px"]]
@@ -120,10 +120,10 @@ def evaluate_pads(folder: Path, truth: Path) -> tuple[PadFigures, list[JudgedPad
 
 def write_pad_evaluation(folder: Path, figures: PadFigures, pads: Sequence[JudgedPad]) -> None:
     """Write evaluation.json and evaluation.csv beside the pads."""
-    with replacing_file(folder / EVALUATION_JSON, starts_with(b"{")) as path:
+    with replace_file(folder / EVALUATION_JSON, make_prefix_test(b"{")) as path:
         path.write_text(format_json(asdict(figures)) + "\n", encoding="utf-8")
     header = ",".join(JUDGED_PADS.names).encode()
-    with replacing_file(folder / EVALUATION_CSV, starts_with(header)) as path:
+    with replace_file(folder / EVALUATION_CSV, make_prefix_test(header)) as path:
         JUDGED_PADS.write(path, [asdict(pad) for pad in pads])
 
 

@@ -16,7 +16,7 @@ from catalog.arrays import Float32Array
 from catalog.bodies.body import Body
 from catalog.errors import DataError
 from catalog.geometry.grid import sample_bicubic
-from catalog.rasters import TERRAIN, open_raster, reading_raster
+from catalog.rasters import TERRAIN, handle_read_errors, open_raster
 from catalog.terrain.dem.file import read_georeference
 from catalog.terrain.dem.georeference import Georeference
 from catalog.terrain.dem.label import read_map_label
@@ -72,7 +72,7 @@ def read_slopes(path: Path, body: Body) -> PriorSlopes:
 
     Raises DataError for a file that is no such map.
     """
-    with open_raster(path, TERRAIN, "check --slopes") as dataset, reading_raster(path):
+    with open_raster(path, TERRAIN, "check --slopes") as dataset, handle_read_errors(path):
         rows, cols = dataset.shape
         if rows * cols > MAX_PIXELS:
             raise DataError(

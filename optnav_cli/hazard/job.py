@@ -14,19 +14,19 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import DataError, NoSolutionError, NothingToDoError, UsageError
-from catalog.files import hash_file, replacing_folder
+from catalog.files import hash_file, replace_folder
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.projection import Stereographic
 from catalog.inputs import check_input
 from catalog.places import check_apart
-from catalog.progress import Progress, logged_stage
+from catalog.progress import Progress, log_stage
 from catalog.store.reader import Catalog
 from catalog.terrain.dem.source import DemSource
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.picture import Picture, frame_picture, load_picture
+from optnav_cli.frames.picture import Picture, load_frame_picture, load_picture
 from optnav_cli.hazard.fusion import PriorSlopes, read_slopes
 from optnav_cli.hazard.ground_view import Heights, KnownPose, look_down, look_from
 from optnav_cli.hazard.hazard_map import HazardMap, check_settings, map_hazard
@@ -139,7 +139,7 @@ def map_picture(
         frame.reason = str(error)
     origin = {"picture": picture, "sha256": hash_file(picture), "camera": camera_file.name}
     options = msgspec.to_builtins(settings) | msgspec.to_builtins(light)
-    with logged_stage("hazard"), replacing_folder(output, KIND) as partial:
+    with log_stage("hazard"), replace_folder(output, KIND) as partial:
         with HazardOutput(partial, None, settings, many=False) as out:
             out.add(frame)
         write_manifest(
@@ -166,8 +166,8 @@ def map_folder(
     with ExitStack() as stack:
         ground = _open_ground(inputs, folder.body, stack)
         prior = None if inputs.slopes is None else read_slopes(inputs.slopes, folder.body)
-        stack.enter_context(logged_stage("hazard"))
-        partial = stack.enter_context(replacing_folder(output, KIND))
+        stack.enter_context(log_stage("hazard"))
+        partial = stack.enter_context(replace_folder(output, KIND))
         many = len(folder.frames) > 1
         out = stack.enter_context(HazardOutput(partial, folder.body, settings, many=many))
         bar = stack.enter_context(progress.stage("hazard", len(folder.frames), "picture"))
@@ -207,7 +207,7 @@ def _map_frame(
     try:
         if row.problem or camera is None:
             raise NoSolutionError(row.problem or f"there is no camera '{row.camera}'", "bad_row")
-        frame.picture = frame_picture(folder.path, row.file, camera)
+        frame.picture = load_frame_picture(folder.path, row.file, camera)
         for remark in frame.picture.remarks:
             log.warning("%s", remark)
         frame.mapped = _map_pose(folder, row, camera, frame.picture, ground, inputs, prior)

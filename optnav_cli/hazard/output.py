@@ -14,7 +14,7 @@ from affine import Affine
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.rasters import encode_geotiff
-from catalog.store.geopackage import stereographic_wkt
+from catalog.store.geopackage import format_stereographic_wkt
 from catalog.terrain.slopes import convert_to_degrees
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.frames import Frame
@@ -200,7 +200,7 @@ def _make_crs(body: Body | None, mapped: HazardMap) -> Any:
     if body is None or projection is None:
         return None
     centre_deg = math.degrees(projection.lat), math.degrees(projection.lon)
-    wkt = stereographic_wkt(body.name, "the view", projection.radius_m, centre_deg)
+    wkt = format_stereographic_wkt(body.name, "the view", projection.radius_m, centre_deg)
     return rasterio.CRS.from_wkt(wkt)
 
 

@@ -10,7 +10,7 @@ from affine import Affine
 
 from catalog.arrays import ByteArray, Float32Array
 from catalog.bodies.body import load_body
-from catalog.files import check_file, replacing_file, starts_with
+from catalog.files import check_file, make_prefix_test, replace_file
 from catalog.places import check_apart
 from catalog.rasters import DESCRIPTION, encode_geotiff, is_described
 from catalog.terrain.dem.georeference import Georeference
@@ -74,7 +74,7 @@ def measure_slopes(
     Raises DataError for a model that cannot be used, OutputError for the place.
     """
     if output is not None:
-        check_file(output, starts_with(PNG) if output.suffix.lower() == ".png" else _is_ours)
+        check_file(output, make_prefix_test(PNG) if output.suffix.lower() == ".png" else _is_ours)
         check_apart(output, [dem])
     source = DemSource.open_alone(dem, load_body(body), nodata)
     try:
@@ -83,7 +83,7 @@ def measure_slopes(
     finally:
         source.close()
     if output is not None and output.suffix.lower() == ".png":
-        with replacing_file(output, starts_with(PNG)) as path:
+        with replace_file(output, make_prefix_test(PNG)) as path:
             path.write_bytes(encode_picture(_draw(degrees, summary), ".png"))
     elif output is not None:
         _write(output, degrees, georeference)
@@ -94,7 +94,7 @@ def _write(path: Path, degrees: Float32Array, place: Georeference) -> None:
     """Write slopes as a GeoTIFF on the coordinate system of their model; NaN for none."""
     profile = {"crs": rasterio.CRS.from_wkt(place.wkt), "transform": Affine(*place.affine)}
     bands, tags = {"slope, deg": degrees}, {DESCRIPTION: MADE}
-    with replacing_file(path, _is_ours) as partial:
+    with replace_file(path, _is_ours) as partial:
         partial.write_bytes(encode_geotiff(bands, {**profile, "nodata": np.nan}, tags))
 
 

@@ -106,7 +106,7 @@ class FrameMethods:
 
     def _seen(self, inverse: bool) -> Observation:
         """The frame with its picture, perhaps with the inverse of the rotation that is stated."""
-        observation = replace(self.observation, picture=self.observation.picture.loaded())
+        observation = replace(self.observation, picture=self.observation.picture.load())
         if not inverse:
             return observation
         body_from_space = np.eye(3)
@@ -124,7 +124,7 @@ class FrameMethods:
         try:
             return outline.navigate(picture, camera, turn, sigma, sun, body, inputs.relief, other)
         except NoSolutionError as error:
-            return NoFix(Reason.of(error))
+            return NoFix(Reason.from_error(error))
 
     def _by_points(self, observation: Observation, prior: PositionPrior) -> Fix | NoFix:
         inputs = self._inputs
@@ -135,6 +135,6 @@ class FrameMethods:
                 observation, prior, inputs.points, inputs.settings, inputs.matcher
             )
         except UnsolvedFrameError as error:
-            return NoFix(Reason.of(error), Method.CONTROL_POINTS, error.evidence)
+            return NoFix(Reason.from_error(error), Method.CONTROL_POINTS, error.evidence)
         except NoSolutionError as error:
-            return NoFix(Reason.of(error), Method.CONTROL_POINTS)
+            return NoFix(Reason.from_error(error), Method.CONTROL_POINTS)

@@ -24,7 +24,7 @@ from optnav_cli.control_points.acceptance import rejection_of_place
 from optnav_cli.dynamics.arc import GATE
 from optnav_cli.fix import Evidence, Fix, Method, NoFix, PositionPrior, Solution
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.observation import FROM_FILE, Observation, observation_of
+from optnav_cli.frames.observation import FROM_FILE, Observation, make_observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigate.answers import Answers, FrameMethods, NavigationInputs
 from optnav_cli.navigate.history import History
@@ -59,9 +59,9 @@ class Navigator:
                  is only read for these.
         """
         try:
-            observation = observation_of(frame, camera, picture)
+            observation = make_observation(frame, camera, picture)
         except NoSolutionError as error:
-            return Solution(frame.file, frame.utc, NoFix(Reason.of(error)))
+            return Solution(frame.file, frame.utc, NoFix(Reason.from_error(error)))
         methods = FrameMethods(self._inputs, observation, {} if answers is None else answers)
         # A step gives the frame's row, or leaves it to the next one and may say why.
         reason = NO_REASON
@@ -110,7 +110,7 @@ class Navigator:
         alone = replace(fix, evidence=replace(fix.evidence, matches=tried.evidence.matches))
         row = replace(tried, outcome=alone)
         why = tried.outcome.reason
-        remark = why.worded(f"control points: {why}")
+        remark = why.with_text(f"control points: {why}")
         return self._accept_outline(methods, row.with_remark(remark))
 
     def _from_same_time(self, methods: FrameMethods) -> Solution | Reason:
@@ -150,7 +150,7 @@ class Navigator:
         if missed < MIN_MISSED_POINTS or _confirms(why, tried):
             evidence = replace(limb, matches=tried.matches)
             alone = replace(row, outcome=replace(fix, evidence=evidence))
-            remark = why.worded(f"control points: {why}")
+            remark = why.with_text(f"control points: {why}")
             return self._accept_outline(methods, alone.with_remark(remark))
         reason = Reason(
             ReasonCode.POINTS_MISSING,
@@ -177,7 +177,7 @@ class Navigator:
             return self._with_inverse_attitude(row, methods)
         beyond = self._too_coarse(observation, prior)
         if beyond:
-            reason = beyond.worded(f"{why_no_outline}; from the {prior.source}: {beyond}")
+            reason = beyond.with_text(f"{why_no_outline}; from the {prior.source}: {beyond}")
             return replace(row, outcome=NoFix(reason), prior=prior.source)
         row = methods.by_points(prior)
         if not row.solved:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import OutputError
-from catalog.files import replacing_file
+from catalog.files import replace_file
 from catalog.geometry.ellipsoid import distance_to_sphere, geodetic_from_xyz
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.map_pieces import clip_ring, split_area, split_line
@@ -37,16 +37,16 @@ from catalog.store.geopackage import (
     Kind,
     Rule,
     add_system,
+    define_spheroid_srs,
+    define_srs,
     describe_geopackage,
-    new_geopackage,
-    parts_geometry,
-    point_geometry,
-    spheroid_srs_of,
-    srs_of,
-    style_qml,
-    table_columns,
+    encode_parts,
+    encode_point,
+    format_style,
+    list_columns,
+    open_new_geopackage,
 )
-from catalog.store.records import unknown_as_none
+from catalog.store.records import replace_unknown
 from optnav_cli.camera.camera import Camera
 from optnav_cli.evaluation.files import time_of
 from optnav_cli.evaluation.motion import TimedPlace, same_pass
@@ -62,7 +62,7 @@ TRACK = FeatureLayer(
     "MULTILINESTRING",
     "Below the camera, from frame to frame of one pass; a line for each camera",
     ("camera TEXT NOT NULL", "first_utc TEXT NOT NULL", "last_utc TEXT NOT NULL", "frames INTEGER"),
-    style_qml(Rule("track", "", "line", GRAY, 0.3)),
+    format_style(Rule("track", "", "line", GRAY, 0.3)),
 )
 POSITIONS = FeatureLayer(
     "camera_positions",
@@ -74,7 +74,7 @@ POSITIONS = FeatureLayer(
         *("x_m DOUBLE", "y_m DOUBLE", "z_m DOUBLE"),
         *("n_used INTEGER", "n_limb INTEGER", "residual_rms_px DOUBLE", *_WHY),
     ),
-    style_qml(
+    format_style(
         Rule("by control points", "\"method\" = 'control_points'", "circle", BLUE, 2.4),
         Rule("by the limb or disc", "ELSE", "triangle", BLUE, 2.4),
     ),
@@ -84,7 +84,7 @@ FOOTPRINTS = FeatureLayer(
     "MULTIPOLYGON",
     "The ground in the frame, on the body's ellipsoid, up to the limb",
     (*_FRAME, "method TEXT NOT NULL", "height_m DOUBLE"),
-    style_qml(Rule("ground in view", "", "fill", BLUE, 0.3)),
+    format_style(Rule("ground in view", "", "fill", BLUE, 0.3)),
 )
 MATCHES = FeatureLayer(
     "matched_points",
@@ -95,7 +95,7 @@ MATCHES = FeatureLayer(
         *("level INTEGER NOT NULL", "used BOOLEAN NOT NULL", "radius_m DOUBLE", "score DOUBLE"),
         *("residual_x_px DOUBLE", "residual_y_px DOUBLE", "sun_elevation_deg DOUBLE", *_WHY),
     ),
-    style_qml(
+    format_style(
         Rule("used", '"used"', "circle", GREEN, 1.6), Rule("not used", "ELSE", "cross2", RED, 1.6)
     ),
 )
@@ -117,13 +117,13 @@ def export_run(run: RunFolder, path: Path) -> dict[str, int]:
         raise OutputError(f"{path}: a run is written as {ENDING}; choose a name that ends so")
     body = run.attitude.body
     layers = LAYERS
-    system = srs_of(body.name, body.radius_m)
+    system = define_srs(body.name, body.radius_m)
     if body.flattening:
-        system = spheroid_srs_of(body.name, body.radii_m)
+        system = define_spheroid_srs(body.name, body.radii_m)
         layers = (*LAYERS[:-1], POSITIONS_SPHEROID)
     srs_id = system[0]
     features = dict(zip(layers, (_footprints, _tracks, _matches, _positions)))
-    with replacing_file(path, _is_ours, SIDECARS) as partial, new_geopackage(partial) as db:
+    with replace_file(path, _is_ours, SIDECARS) as partial, open_new_geopackage(partial) as db:
         describe_geopackage(db, body.name, body.radius_m, UNDATED)
         if body.flattening:
             add_system(db, system)
@@ -136,7 +136,7 @@ def export_run(run: RunFolder, path: Path) -> dict[str, int]:
 
 def _is_ours(path: Path) -> bool:
     ours = POSITIONS.names, POSITIONS_SPHEROID.names
-    return table_columns(path, POSITIONS.name) in ours
+    return list_columns(path, POSITIONS.name) in ours
 
 
 def _count(db: sqlite3.Connection, layer: FeatureLayer) -> int:
@@ -179,7 +179,7 @@ def _box(parts: list[FloatArray]) -> Box | None:
 
 
 def _parts(kind: Kind, parts: list[FloatArray], srs_id: int) -> tuple[bytes | None, Box | None]:
-    return parts_geometry(kind, parts, srs_id), _box(parts)
+    return encode_parts(kind, parts, srs_id), _box(parts)
 
 
 def _tracks(run: RunFolder, srs_id: int) -> Iterator[Feature]:
@@ -216,10 +216,10 @@ def _positions(run: RunFolder, srs_id: int) -> Iterator[Feature]:
             up = s.position_m / radius
             variance = float(up @ s.covariance_m2 @ up)
             across = max(float(np.trace(s.covariance_m2)) - variance, 0.0)
-            geometry, box = point_geometry(lon, lat, srs_id), (lon, lat, lon, lat)
+            geometry, box = encode_point(lon, lat, srs_id), (lon, lat, lon, lat)
             height = radius - body.radius_m
             if body.flattening:
-                more = (unknown_as_none(float(geodetic_from_xyz(s.position_m, body.radii_m)[2])),)
+                more = (replace_unknown(float(geodetic_from_xyz(s.position_m, body.radii_m)[2])),)
             numbers = (height, variance**0.5, across**0.5, *map(float, s.position_m))
         evidence = s.n_used, s.n_limb, s.residual_rms_px
         words = s.status, s.method, s.prior
@@ -252,10 +252,10 @@ def _matches(run: RunFolder, srs_id: int) -> Iterator[Feature]:
         radius = float(latlon_from_xyz(m.cp_position_m)[2])
         residual = (None, None) if m.residual_px is None else map(float, m.residual_px)
         numbers = m.score, *residual, m.sun_elevation_deg
-        known = (None if v is None else unknown_as_none(v) for v in numbers)
+        known = (None if v is None else replace_unknown(v) for v in numbers)
         named = m.file, m.catalog, m.cp_id, m.level, int(m.used), radius
         row = *named, *known, m.reason, m.reason_code.value
-        yield (number, point_geometry(lon, lat, srs_id), *row), (lon, lat, lon, lat)
+        yield (number, encode_point(lon, lat, srs_id), *row), (lon, lat, lon, lat)
 
 
 def footprint_of(

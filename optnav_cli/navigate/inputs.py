@@ -73,7 +73,7 @@ def _layer(catalog: Catalog, body: Body, *, whole: bool = False) -> PointLayer:
             f"{catalog.path}: none of its {len(catalog)} control points is usable; "
             "see `optnav catalog info`"
         )
-    by_source = [meta.error_of(source) for source in meta.point_sources]
+    by_source = [meta.find_error(source) for source in meta.point_sources]
     stated = catalog.records["source"][usable] if any(by_source) else ()
     return PointLayer(
         catalog.path.name,

@@ -14,20 +14,20 @@ import numpy as np
 
 from catalog.bodies.body import is_body_file
 from catalog.errors import NothingToDoError, OutputError
-from catalog.files import hash_file, replacing_folder
-from catalog.jobs.cluster import check_address, cluster_workers
+from catalog.files import hash_file, replace_folder
+from catalog.jobs.cluster import check_address, start_cluster_workers
 from catalog.jobs.usage import StageAccount
-from catalog.jobs.workers import Workers, available_cores, workers_of
+from catalog.jobs.workers import Workers, count_cores, make_workers
 from catalog.jobs.workspace import (
     ChunkResults,
     Workspace,
-    code_key,
+    compute_stage_key,
     decode_records,
     encode_records,
-    stage_key,
+    hash_package,
 )
 from catalog.places import check_apart
-from catalog.progress import Progress, logged_stage
+from catalog.progress import Progress, log_stage
 from optnav_cli.fix import MatchRow, Method, Solution
 from optnav_cli.frames.orbit_tables import ZENITH
 from optnav_cli.frames.points import POINTS_CSV
@@ -104,7 +104,7 @@ def navigate_folder(
     worker = FrameWorker(given if scheduler is None else given.absolute())
     check_apart(run, worker.files())
     try:
-        with logged_stage(STAGE), open_workspace(run, KIND) as workspace:
+        with log_stage(STAGE), open_workspace(run, KIND) as workspace:
             folder = worker.folder
             log.info("rotation of the %s and its Sun by %s", folder.body.name, folder.motion.name)
             inputs = _inputs(worker, given)
@@ -117,13 +117,13 @@ def navigate_folder(
             else:
                 if workers is None:
                     most = max(1, len(folder.frames) // MIN_FRAMES_A_WORKER)
-                    workers = min(available_cores(), most)
-                crew = workers_of(workers)
+                    workers = min(count_cores(), most)
+                crew = make_workers(workers)
                 if scheduler is not None:
-                    crew = cluster_workers(scheduler, worker.files())
+                    crew = start_cluster_workers(scheduler, worker.files())
                 try:
                     job = _Run(worker, workspace, key, crew)
-                    with replacing_folder(run, KIND) as place:
+                    with replace_folder(run, KIND) as place:
                         solutions = job.write(place, progress)
                         write_manifest(
                             place,
@@ -261,8 +261,8 @@ class _Run:
         results, count = self._results, len(self._order)
         # beside the frames' files: what the frames to come need of those that are done
         memory = ChunkResults(results.workspace, STAGE, results.key, FlownSoFar)
-        stopped = (memory.records(count) or [FlownSoFar(0)])[0]
-        kept = results.all_records(stopped.frames) or []
+        stopped = (memory.read(count) or [FlownSoFar(0)])[0]
+        kept = results.read_all(stopped.frames) or []
         if stopped.memory is not None and kept:
             descent.restore(stopped.memory)
         with progress.stage(STAGE, count, "frame") as bar:
@@ -298,7 +298,7 @@ class _Run:
     def _finished(
         self, position: int, task: FrameTask, navigator: Navigator
     ) -> tuple[Solution, FrameRecord]:
-        records = self._results.records(position)
+        records = self._results.read(position)
         found: FrameRecord = records[0] if records else self._worker.look(task)
         row, record = self._worker.finish(task.frame, navigator, found)
         if record is not found or not records:
@@ -321,7 +321,7 @@ class _Run:
         """All control points tried, frame by frame in the order of frames.csv."""
         points = self._worker.inputs.points
         for position in sorted(range(len(self._order)), key=self._order.__getitem__):
-            records = self._results.records(position)
+            records = self._results.read(position)
             if not records:
                 raise OutputError(
                     f"{self._results.workspace.folder}: results vanished or were damaged; give the "
@@ -385,8 +385,8 @@ def _key(worker: FrameWorker, given: RunInputs, inputs: dict[str, Any]) -> str:
     if is_body_file(body):
         named.append(Path(body))
     states = [catalog.path.stat() for catalog in worker.catalogs]
-    return stage_key(
-        [code_key(), code_key("optnav_cli"), list_versions()],
+    return compute_stage_key(
+        [hash_package(), hash_package("optnav_cli"), list_versions()],
         [_options(given), inputs],
         [hash_file(path) for path in named],
         # a catalog may be mended, its digest the same

@@ -36,7 +36,7 @@ from optnav_cli.fix import MatchKind, Method, NoFix, Solution
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame, picture_path
 from optnav_cli.frames.observation import FROM_FILE
-from optnav_cli.frames.picture import LaterPicture, Picture, PictureSizeError, frame_picture
+from optnav_cli.frames.picture import LaterPicture, Picture, PictureSizeError, load_frame_picture
 from optnav_cli.frames.points import POINTS_CSV, PickedPoint
 from optnav_cli.frames.run_settings import RUN_TOML, InertialSettings
 from optnav_cli.navigate.answers import Answers, NavigationInputs, Outcome
@@ -396,7 +396,7 @@ class FrameWorker:
     def _picture(self, frame: Frame, camera: Camera) -> Picture:
         """A frame's picture; the last one is at hand. Raises DataError."""
         path, file = self.folder.path, frame.file
-        return self._pictures.get(file, lambda: frame_picture(path, file, camera))
+        return self._pictures.get(file, lambda: load_frame_picture(path, file, camera))
 
 
 def _remarked(row: Solution, answers: Answers) -> Solution:
@@ -405,7 +405,9 @@ def _remarked(row: Solution, answers: Answers) -> Solution:
         return row
     text = "; ".join(unpack(answers[REMARKS], tuple[str, ...]))
     remark = Reason(ReasonCode.PICTURE_REMARK, text)
-    return replace(row, outcome=replace(row.outcome, reason=row.outcome.reason.followed_by(remark)))
+    return replace(
+        row, outcome=replace(row.outcome, reason=row.outcome.reason.add_sentence(remark))
+    )
 
 
 def unseen_record() -> FrameRecord:

@@ -16,7 +16,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Fix
 from optnav_cli.frames.picture import Picture
-from optnav_cli.frames.segmentation import Blobs, Segmented, without_blobs
+from optnav_cli.frames.segmentation import Blobs, Segmented, remove_blobs
 from optnav_cli.outline import neighbour
 from optnav_cli.outline.neighbour import CameraView, OtherBody, PredictedDisc, Spot
 from optnav_cli.outline.one_body import NEAR_ANGLE, solve
@@ -58,7 +58,7 @@ def solve_outline(
     try:
         alone = solve(picture, view, body, relief, lit)
     except NoSolutionError as error:
-        reason = Reason.of(error)
+        reason = Reason.from_error(error)
     if other is not None and (alone is None or _predict_disc(view, body, alone).angle < NEAR_ANGLE):
         return _choose_body(picture, view, body, relief, other, lit, alone or reason)
     if alone is None:
@@ -99,7 +99,7 @@ def _choose_body(
             fix, masked = consistent[0]
             text = f"{names[0]} is in the picture too, where this position puts it"
             remark = Reason(ReasonCode.NEIGHBOUR_IN_VIEW, text)
-            return replace(fix, reason=fix.reason.followed_by(remark)), masked
+            return replace(fix, reason=fix.reason.add_sentence(remark)), masked
         if consistent:
             raise NoSolutionError(
                 f"two bodies in the picture: either may be {names[1]}, for each puts {names[0]} "
@@ -144,9 +144,7 @@ def _solve_consistent(
         others = [candidate for candidate in spots if candidate is not spot]
         if not _is_plausible(view, body, other, spot, others):
             continue
-        values = without_blobs(
-            picture.values, blobs, [candidate.label for candidate in others], sky
-        )
+        values = remove_blobs(picture.values, blobs, [candidate.label for candidate in others], sky)
         masked = replace(picture, values=values)
         try:
             fix = solve(masked, view, body, relief)

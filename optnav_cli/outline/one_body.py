@@ -87,7 +87,7 @@ def solve(
         if relief is not None and is_shape(relief):
             with suppress(NoSolutionError):
                 return silhouette.navigate(picture, view, body, relief, lit)
-        return _solve_by_centre(Reason.of(no_limb), picture, view, body, relief, lit)
+        return _solve_by_centre(Reason.from_error(no_limb), picture, view, body, relief, lit)
     small = _solve_by_disc(picture, view, body, relief, limb, lit)
     if small is not None:
         return small

@@ -16,11 +16,18 @@ from pathlib import Path
 from typing import Any
 
 from catalog.errors import DataError
-from catalog.files import MADE_BY, MANIFEST, MAX_MANIFEST_BYTES, check_folder, hash_file, put_file
+from catalog.files import (
+    MADE_BY,
+    MANIFEST,
+    MAX_MANIFEST_BYTES,
+    check_folder,
+    hash_file,
+    write_work_file,
+)
 from catalog.inputs import read_input
 from catalog.jobs.workspace import LIBRARIES as OF_THE_CATALOG
 from catalog.jobs.workspace import Workspace
-from catalog.places import beside, claimed
+from catalog.places import hidden_sibling, lock_output
 
 FORMAT = 1
 LIBRARIES = (*OF_THE_CATALOG, "msgspec", "mcap", "pyerfa")
@@ -86,7 +93,7 @@ def write_manifest(
         manifest, indent=2, ensure_ascii=False, allow_nan=False, default=_convert_plain
     )
     # not every name of a file is text: what is none is written as "?"
-    put_file(folder / MANIFEST, f"{text}\n".encode("utf-8", "replace"))
+    write_work_file(folder / MANIFEST, f"{text}\n".encode("utf-8", "replace"))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -128,11 +135,11 @@ def open_workspace(output: Path, kind: str) -> Iterator[Workspace]:
     Raises OutputError for a place where the output cannot be.
     """
     check_folder(output, kind)  # before any work is done for a place that cannot be used
-    with claimed(output):
+    with lock_output(output):
         name = f"{output.name}.work"
         long = len(os.fsencode(name)) > MAX_NAME_BYTES
-        workspace = Workspace(beside(output, "work") if long else output.with_name(name))
-        with workspace.locked():
+        workspace = Workspace(hidden_sibling(output, "work") if long else output.with_name(name))
+        with workspace.lock():
             yield workspace
             shutil.rmtree(workspace.folder, ignore_errors=True)
 

@@ -18,7 +18,7 @@ from catalog.tables import CsvTable
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.fix import MatchRow, Method, Solution
-from optnav_cli.frames.frames import time_sigma
+from optnav_cli.frames.frames import read_time_sigma
 from optnav_cli.frames.points import POINTS_CSV
 from optnav_cli.frames.run_settings import (
     RUN_TOML,
@@ -92,7 +92,7 @@ def _read_time_sigmas(path: Path) -> dict[str, float]:
         if (path / name).exists():
             for row in table.rows(path / name):
                 try:
-                    sigma = None if row.problem else time_sigma(row)
+                    sigma = None if row.problem else read_time_sigma(row)
                 except DataError as error:
                     raise DataError(f"{row.where}: {error}") from None
                 if sigma is not None:

@@ -21,7 +21,7 @@ from optnav_cli.fix import (
     Method,
     NoFix,
     Solution,
-    number_of_name,
+    hash_name,
 )
 from optnav_cli.frames.frames import MAX_DISTANCE_M
 from optnav_cli.frames.run_settings import FileAttitude
@@ -146,7 +146,7 @@ def _list_solution_cells(solution: Solution, attitude: FileAttitude) -> dict[str
         covariance = attitude.places.transform_covariance_to_stated(solution.covariance_m2)
         cells |= {name: covariance[at] for name, at in zip(COVARIANCE, UPPER)}
     if solution.camera_from_body is not None:
-        written = attitude.written(solution.camera_from_body, solution.utc)
+        written = attitude.convert_for_file(solution.camera_from_body, solution.utc)
         cells |= zip(QUATERNION, quaternion_from_rotation(written), strict=True)
     if solution.attitude_sigma_rad is not None:
         cells["attitude_sigma_arcsec"] = solution.attitude_sigma_rad / ARCSEC
@@ -280,7 +280,7 @@ def _list_adjusted_cells(match: AdjustedMatch) -> dict[str, object]:
 def _read_match(row: CsvRow) -> MatchRow:
     kind, level = _read_kind(row), row.count("level")
     name = row["id"] if kind is MatchKind.PICKED_POINT else ""
-    cp_id = number_of_name(name) if name else row.count("id")
+    cp_id = hash_name(name) if name else row.count("id")
     geographic = row.vector(("lat_deg", "lon_deg", "radius_m"))
     predicted = row.vector(_list_columns("predicted"))
     if cp_id is None or level is None or geographic is None or predicted is None:

@@ -26,10 +26,10 @@ from optnav_cli.fix import (
     Method,
     NoFix,
     Solution,
-    number_of_name,
+    hash_name,
 )
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.points import PickedPoint, places_of
+from optnav_cli.frames.points import PickedPoint, locate_points
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
 from optnav_cli.points.constructions import (
     Picks,
@@ -44,7 +44,7 @@ from optnav_cli.points.resection import (
     PickedPose,
     PickedResection,
 )
-from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, longer
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, describe_length
 
 PRIOR_SIGMAS = 5.0  # within which a prior decides between poses
 MAX_ZENITH_DEG = 70.0  # the formula of refraction is a few per cent off there, and grows
@@ -80,7 +80,7 @@ class PickedFrames:
             evidence = Evidence(
                 n_predicted=len(points), n_matched=len(points), matches=work.rows(None)
             )
-            outcome = NoFix(Reason.of(error), Method.PICKED_POINTS, evidence)
+            outcome = NoFix(Reason.from_error(error), Method.PICKED_POINTS, evidence)
         return Solution(frame.file, frame.utc, outcome)
 
 
@@ -162,7 +162,7 @@ class _FrameOfPoints:
             rows.append(
                 MatchRow(
                     self._frame.file,
-                    number_of_name(point.name),
+                    hash_name(point.name),
                     0,
                     self._places[number],
                     expected,
@@ -229,7 +229,7 @@ class _FrameOfPoints:
         lens = problem.fit_another_lens(picked) if self._how.judges_lens else None
         if lens is not None:
             text = (
-                f"the points fit another focal length, {longer(lens.focal)}: chi-square "
+                f"the points fit another focal length, {describe_length(lens.focal)}: chi-square "
                 f"{lens.cost:.0f}, {picked.cost:.0f} with the one of the camera file; calibrate "
                 "the camera or state its focal_length_error"
             )
@@ -356,7 +356,7 @@ class _FrameOfPoints:
         self, latlon_deg: FloatArray, heights_m: FloatArray, settings: PointsSettings
     ) -> FloatArray:
         """Return places (n, 3) in the frame of the body's catalogs."""
-        places = places_of(latlon_deg, heights_m, self._body, settings)
+        places = locate_points(latlon_deg, heights_m, self._body, settings)
         return self._how.attitude.places.transform_to_catalog(places)
 
     def _compute_zeniths(self, pose: Pose) -> FloatArray:
@@ -446,7 +446,7 @@ class _FrameOfPoints:
         if not fitting and len(problem.points) > 4:
             lens = _try_solve(problem)
             if lens is not None and lens.fits:
-                fitting.append(f"with a focal length {longer(lens.focal)}")
+                fitting.append(f"with a focal length {describe_length(lens.focal)}")
         return ", or ".join(fitting)
 
     def _is_fitting(self, problem: PickedResection) -> bool:

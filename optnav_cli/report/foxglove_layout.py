@@ -17,7 +17,7 @@ from mcap.exceptions import McapError
 from mcap.reader import SeekingReader
 
 from catalog.errors import DataError, UsageError
-from catalog.files import replacing_file, starts_with
+from catalog.files import make_prefix_test, replace_file
 from optnav_cli.output.recording import format_topic
 from optnav_cli.output.run_folder import RECORDING, RunFolder, read_run
 from optnav_cli.output.scene import CAMERA_COLOURS
@@ -48,7 +48,7 @@ def write_layout(source: Path, output: Path) -> None:
         raise DataError(f"{source}: holds no camera files, so there is nothing to lay out")
     laid_out = build_layout(run, read_recorded_topics(source / RECORDING))
     text = json.dumps(laid_out, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with replacing_file(output, starts_with(BEGINNING)) as path:
+    with replace_file(output, make_prefix_test(BEGINNING)) as path:
         path.write_text(text, encoding="utf-8")
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from catalog.errors import DataError, OutputError
-from catalog.files import replacing_file
+from catalog.files import replace_file
 from catalog.geometry.rotations import rotation_from_quaternion
 from catalog.store.connection import SIDECARS
 from catalog.store.geopackage import (
@@ -17,10 +17,10 @@ from catalog.store.geopackage import (
     FeatureLayer,
     Rule,
     describe_geopackage,
-    new_geopackage,
-    point_geometry,
-    style_qml,
-    table_columns,
+    encode_point,
+    format_style,
+    list_columns,
+    open_new_geopackage,
 )
 from optnav_cli.frames.tables import ATTITUDES, CYLINDER, QUATERNION
 from optnav_cli.output.manifest import read_manifest
@@ -37,7 +37,7 @@ BORESIGHTS = FeatureLayer(
         *(*_ROW, "ra_deg DOUBLE", "dec_deg DOUBLE", "sigma_across_arcsec DOUBLE"),
         *("sigma_about_arcsec DOUBLE", "n_used INTEGER", "residual_rms_px DOUBLE"),
     ),
-    style_qml(Rule("boresight", "", "circle", BLUE, 2.4)),
+    format_style(Rule("boresight", "", "circle", BLUE, 2.4)),
 )
 PLACES = FeatureLayer(
     "camera_places",
@@ -47,7 +47,7 @@ PLACES = FeatureLayer(
         *(*_ROW, "zone TEXT NOT NULL", "d_m DOUBLE", "d_sigma_m DOUBLE", "theta_deg DOUBLE"),
         *("theta_sigma_deg DOUBLE", "bearing_deg DOUBLE", "vx_m_s DOUBLE", "vy_m_s DOUBLE"),
     ),
-    style_qml(Rule("camera", "", "circle", BLUE, 2.4)),
+    format_style(Rule("camera", "", "circle", BLUE, 2.4)),
 )
 
 
@@ -72,9 +72,9 @@ def _write_layer(
     features = list(make())
 
     def is_ours(place: Path) -> bool:
-        return table_columns(place, layer.name) == layer.names
+        return list_columns(place, layer.name) == layer.names
 
-    with replacing_file(path, is_ours, SIDECARS) as partial, new_geopackage(partial) as db:
+    with replace_file(path, is_ours, SIDECARS) as partial, open_new_geopackage(partial) as db:
         describe_geopackage(db, "moon", MOON_RADIUS_M, UNDATED)
         layer.create(db)
         layer.register(db, srs_id, layer.fill(db, iter(features)), UNDATED)
@@ -96,7 +96,7 @@ def _list_boresights(run: Path) -> Iterator[Feature]:
         across = [row.number(f"sigma_{axis}_arcsec") for axis in "xy"]
         worst = None if None in across else max(value for value in across if value is not None)
         cells = (ra, dec, worst, row.number("sigma_z_arcsec"), row.count("n_used"))
-        geometry = point_geometry(ra, dec, GEOGRAPHIC)
+        geometry = encode_point(ra, dec, GEOGRAPHIC)
         yield (number, geometry, *head, *cells, row.number("residual_rms_px")), (ra, dec, ra, dec)
 
 
@@ -115,4 +115,4 @@ def _list_places(run: Path) -> Iterator[Feature]:
             continue
         turn, from_axis = np.radians(theta), radius + distance
         x, y = float(from_axis * np.sin(turn)), float(from_axis * np.cos(turn))
-        yield (number, point_geometry(x, y, CARTESIAN), *head, *cells), (x, y, x, y)
+        yield (number, encode_point(x, y, CARTESIAN), *head, *cells), (x, y, x, y)

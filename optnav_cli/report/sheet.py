@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from catalog.files import replacing_file, starts_with
+from catalog.files import make_prefix_test, replace_file
 from optnav_cli.report.page import read_styles
 from optnav_cli.report.svg import Plot, draw_mark
 
@@ -79,7 +79,7 @@ def draw_sheet(title: str, legend: Sequence[LegendEntry], rows: Sequence[Sequenc
 
 def write_sheet(picture: str, path: Path) -> None:
     """Write a picture; an older one there is replaced. Raises OutputError for anything else."""
-    with replacing_file(path, starts_with(BEGINNING.encode())) as partial:
+    with replace_file(path, make_prefix_test(BEGINNING.encode())) as partial:
         partial.write_text(picture, encoding="utf-8")
 
 

@@ -23,7 +23,7 @@ from catalog.errors import ConfigError, DataError
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import latlon_from_xyz
-from catalog.rasters import TERRAIN, open_raster, reading_raster
+from catalog.rasters import TERRAIN, handle_read_errors, open_raster
 from catalog.rendering.rays.scene import Reflectivity
 from catalog.terrain.dem.file import find_nodata_range, read_georeference, resolve_path
 from catalog.terrain.dem.label import read_map_label
@@ -88,7 +88,7 @@ class AlbedoMap:
     def __init__(self, settings: AlbedoMapSettings, body: Body) -> None:
         path = resolve_path(settings.path, Path.cwd())
         dataset = open_raster(path, TERRAIN, "check `albedo_map` in [truth]")
-        with dataset, reading_raster(path):
+        with dataset, handle_read_errors(path):
             rows, cols = dataset.shape
             if rows * cols > MAX_MAP_PIXELS:
                 raise DataError(

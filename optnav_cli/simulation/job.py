@@ -12,13 +12,19 @@ import numba
 
 from catalog.config import resource
 from catalog.errors import ConfigError, OutputError
-from catalog.files import hash_file, replacing_folder
-from catalog.jobs.cluster import check_address, cluster_workers
+from catalog.files import hash_file, replace_folder
+from catalog.jobs.cluster import check_address, start_cluster_workers
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import SerialWorkers, Workers
-from catalog.jobs.workspace import ChunkResults, Workspace, code_key, content_hash, stage_key
+from catalog.jobs.workspace import (
+    ChunkResults,
+    Workspace,
+    compute_stage_key,
+    hash_contents,
+    hash_package,
+)
 from catalog.places import check_apart
-from catalog.progress import Progress, SilentProgress, logged_stage
+from catalog.progress import Progress, SilentProgress, log_stage
 from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.frames.tables import FRAMES, PICKED_POINTS
 from optnav_cli.output.manifest import is_finished, list_versions, open_workspace, write_manifest
@@ -55,7 +61,7 @@ def simulate_folder(
         check_address(scheduler)
     if isinstance(scenario, Path):
         check_apart(pictures, [scenario])
-    with logged_stage(STAGE), open_workspace(pictures, KIND) as workspace:
+    with log_stage(STAGE), open_workspace(pictures, KIND) as workspace:
         if isinstance(scenario, Path):
             path, scenario = scenario, load_scenario(scenario)
             origin = {"name": path.name, "sha256": hash_file(path)}
@@ -70,12 +76,12 @@ def simulate_folder(
             numba.set_num_threads(max(1, min(workers, numba.get_num_threads())))
         crew: Workers = SerialWorkers()
         if scheduler is not None:
-            crew = cluster_workers(scheduler, simulation.files())
+            crew = start_cluster_workers(scheduler, simulation.files())
         results = ChunkResults(workspace, STAGE, key, Taken)
         workspace.keep_only(STAGE, {key})
         terrain = [*(Path(dem.path).name for dem in scenario.dem), Path(scenario.globe.path).name]
         try:
-            with replacing_folder(pictures, KIND) as place:
+            with replace_folder(pictures, KIND) as place:
                 # first, as a model of the ground can be refused
                 simulation.write_tables(place)
                 _take(simulation, results, crew, place, progress)
@@ -110,7 +116,7 @@ def _take(
         made = results.make(take, simulation, numbers, workers, StageAccount(STAGE), bar)
         with closing(made):
             for number in made:
-                (taken,) = results.records(number) or take(simulation, [number])
+                (taken,) = results.read(number) or take(simulation, [number])
                 file = simulation.names[number]
                 (place / file).write_bytes(taken.data)
                 event: dict[str, object] = {"stage": STAGE, "frame": file, "status": "simulated"}
@@ -120,12 +126,12 @@ def _take(
 
 def _key(simulation: Simulation, workspace: Workspace) -> str:
     """Hash of all that the pictures depend on."""
-    return stage_key(
-        [code_key(), code_key("optnav_cli"), list_versions()],
+    return compute_stage_key(
+        [hash_package(), hash_package("optnav_cli"), list_versions()],
         msgspec.to_builtins(simulation.scenario),
         [camera_toml(camera) for camera in simulation.cameras],
         repr(simulation.motion.body),
-        content_hash(simulation.files(), workspace, SilentProgress()),
+        hash_contents(simulation.files(), workspace, SilentProgress()),
     )
 
 
@@ -146,9 +152,9 @@ def write_template_folder(place: Path, kind: str = "folder") -> None:
     started = datetime.now(UTC)
     name, table = EXAMPLES[kind]
     example = resource(name).parent
-    with replacing_folder(place, TEMPLATE) as new:
+    with replace_folder(place, TEMPLATE) as new:
         shutil.copytree(example, new, dirs_exist_ok=True, copy_function=shutil.copyfile)
         readme = new / "README.md"
-        text = readme.read_text(encoding="utf-8").replace("COLUMNS", table.markdown())
+        text = readme.read_text(encoding="utf-8").replace("COLUMNS", table.format_markdown())
         readme.write_text(text, encoding="utf-8")
         write_manifest(new, TEMPLATE, command="config", options={}, inputs={}, started=started)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.geometry.rotations import ARCSEC
-from catalog.rasters import TERRAIN, open_raster, reading_raster
+from catalog.rasters import TERRAIN, handle_read_errors, open_raster
 from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.dem.source import DemSettings
 from optnav_cli.camera.camera import Camera
@@ -67,7 +67,7 @@ class Simulation:
         found = {path for name in names if (path := resolve_path(name, Path())).is_file()}
         for name in rasters:
             path = resolve_path(name, Path())
-            with open_raster(path, TERRAIN) as dataset, reading_raster(path):
+            with open_raster(path, TERRAIN) as dataset, handle_read_errors(path):
                 found.update(map(Path, dataset.files))  # of a label its image, the parts of a VRT
         return sorted(found)
 
@@ -202,7 +202,7 @@ def _frame(exposure: Exposure, scenario: ScenarioBase, camera: str, start_s: flo
     sigma_m = scenario.prior.position_sigma_m
     sigma = None if attitude.free else attitude.sigma_arcsec * ARCSEC
     if scenario.track:
-        sigma_m, sigma = scenario.track.row_sigmas(exposure.tdb_s - start_s)
+        sigma_m, sigma = scenario.track.compute_row_sigmas(exposure.tdb_s - start_s)
     return Frame(
         file=exposure.file,
         utc=exposure.utc,

@@ -10,7 +10,7 @@ import msgspec
 from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.config import BUNDLED, load_toml, resource, toml_text
+from catalog.config import BUNDLED, load_toml, read_toml_text, resource
 from catalog.errors import ConfigError, DataError
 from catalog.terrain.dem.file import SHARED, resolve_path
 from optnav_cli.camera.camera import Camera
@@ -101,7 +101,7 @@ def scenario_motion(scenario: ScenarioBase, body: Body) -> Ephemeris:
 
 def _kind(path: Path) -> type[ScenarioBase]:
     try:
-        data = tomllib.loads(toml_text(path))
+        data = tomllib.loads(read_toml_text(path))
     except (ValueError, RecursionError):
         return Scenario
     return next((kind for section, kind in KINDS.items() if section in data), Scenario)

@@ -26,7 +26,7 @@ from catalog.rendering.rays.ground import Ground, make_ground, make_whole_sphere
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.mounts import MountSettings, check_mounts, stereo_pair
+from optnav_cli.frames.mounts import MountSettings, check_mounts, select_stereo_pair
 from optnav_cli.simulation import sections
 from optnav_cli.simulation.exposure import PLACE, Epoch, Exposure, corner_rays
 from optnav_cli.simulation.passes import SunSettings, sun_over
@@ -84,7 +84,7 @@ class StereoScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_o
     def check(self) -> None:
         super().check()
         check_mounts(self.mount)
-        stereo_pair(self.mount)
+        select_stereo_pair(self.mount)
         if self.beside:
             raise ConfigError("there are [[beside]] and [[mount]]; mount cameras with [[mount]]")
         low, high = self.stereo.sun_elevation_deg

@@ -22,7 +22,7 @@ from catalog.bodies.stars import BrightStars, load_bright_stars
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import cross_matrix
 from optnav_cli.camera.camera import Camera
-from optnav_cli.reasons import ReasonCode, longer
+from optnav_cli.reasons import ReasonCode, describe_length
 from optnav_cli.stars.spots import StarSpots
 
 MAX_PAIR_DEG = 25.0
@@ -487,7 +487,7 @@ def _compute_angles(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _explain_wrong_lens(scale: float) -> NoSolutionError:
-    text = f"the focal length is wrong: the stars fit one {longer(scale - 1.0)}"
+    text = f"the focal length is wrong: the stars fit one {describe_length(scale - 1.0)}"
     return NoSolutionError(text, ReasonCode.WRONG_LENS)
 
 

@@ -12,15 +12,15 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.star_catalog import read_star_catalog
 from catalog.bodies.stars import BrightStars, load_bright_stars
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
-from catalog.files import hash_file, replacing_folder
+from catalog.files import hash_file, replace_folder
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation
 from catalog.places import check_apart
-from catalog.progress import Progress, logged_stage
+from catalog.progress import Progress, log_stage
 from catalog.tables import CsvRow
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import read_cameras
 from optnav_cli.frames.frames import MAX_DISTANCE_M
-from optnav_cli.frames.picture import frame_picture
+from optnav_cli.frames.picture import load_frame_picture
 from optnav_cli.frames.run_settings import RUN_TOML, read_run_settings
 from optnav_cli.frames.tables import ATTITUDES, POSITION, QUATERNION, STAR_FRAMES
 from optnav_cli.output.canvas import encode_picture
@@ -107,13 +107,13 @@ def solve_star_folder(
     """
     started = datetime.now(UTC)
     check_apart(output, [folder])
-    with logged_stage(STAGE):
+    with log_stage(STAGE):
         body = _read_body(folder)
         stars = load_bright_stars() if catalogue is None else read_star_catalog(catalogue, epoch)
         cameras, table = read_cameras(folder / CAMERAS), STAR_FRAMES.rows(folder / FRAMES)
         _check_files(folder / FRAMES, table)
         rows: list[StarRow] = []
-        with replacing_folder(output, STARS_KIND) as work:
+        with replace_folder(output, STARS_KIND) as work:
             (work / OVERLAYS).mkdir()
             with progress.stage(STAGE, len(table), "picture") as bar:
                 for row in table:
@@ -188,7 +188,7 @@ def _solve_row(
             raise DataError(f"the position lies farther off than {MAX_DISTANCE_M:g} m")
         distance = None if position is None else float(np.linalg.norm(position))
         view = SkyView(body, utc_to_tdb_s(utc) if utc else None, distance, stars)
-        picture = frame_picture(folder, file, camera)
+        picture = load_frame_picture(folder, file, camera)
     except DataError as error:
         return StarRow(file, utc, None, None, None, str(error))
     fix, reason = None, ""

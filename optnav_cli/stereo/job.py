@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import ConfigError, DataError, NoSolutionError, NothingToDoError
-from catalog.files import replacing_folder
+from catalog.files import replace_folder
 from catalog.geometry.vectors import unit
 from catalog.places import check_apart
-from catalog.progress import Progress, logged_stage
+from catalog.progress import Progress, log_stage
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.mounts import MountSettings, stereo_pair
-from optnav_cli.frames.picture import frame_picture
+from optnav_cli.frames.mounts import MountSettings, select_stereo_pair
+from optnav_cli.frames.picture import load_frame_picture
 from optnav_cli.frames.run_settings import RUN_TOML
 from optnav_cli.frames.tables import HEIGHTS
 from optnav_cli.navigate.history import SAME_TIME_S
@@ -85,12 +85,12 @@ def measure_stereo_folder(folder: Path, output: Path, progress: Progress) -> lis
     """
     started = datetime.now(UTC)
     check_apart(output, [folder])
-    with logged_stage(STAGE):
+    with log_stage(STAGE):
         read = read_folder(folder)
         mounts, rig = build_rig(read)
         pairs = list(pair_frames(read.frames, mounts))
         rows: list[StereoRow] = []
-        with replacing_folder(output, KIND) as work:
+        with replace_folder(output, KIND) as work:
             with progress.stage(STAGE, len(pairs), "pair") as bar:
                 before: PairState | None = None
                 for pair in pairs:
@@ -120,7 +120,7 @@ def build_rig(folder: Folder) -> tuple[tuple[MountSettings, MountSettings], Rig]
     """Build the mounts and the rig of a folder. Raises ConfigError where run.toml states none."""
     where = folder.path / RUN_TOML
     try:
-        mounts = stereo_pair(folder.settings.mount)
+        mounts = select_stereo_pair(folder.settings.mount)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
     for mount in mounts:
@@ -202,7 +202,7 @@ def _measure_pair(
 
 
 def _read_brightness(folder: Folder, frame: Frame) -> Float32Array:
-    return frame_picture(folder.path, frame.file, folder.cameras[frame.camera]).values
+    return load_frame_picture(folder.path, frame.file, folder.cameras[frame.camera]).values
 
 
 def _compute_ship_attitude(eye: Eye, frame: Frame) -> Rotation | None:

@@ -25,7 +25,7 @@ from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import Solution
 from optnav_cli.frames.folder import Folder, read_folder, write_folder
-from optnav_cli.frames.observation import observation_of
+from optnav_cli.frames.observation import make_observation
 from optnav_cli.frames.picture import Picture, load_picture
 from optnav_cli.navigate.autonomous import NavigationInputs, Navigator
 from optnav_cli.navigate.inputs import open_field
@@ -161,7 +161,7 @@ def test_a_fisheye_frame_with_nothing_stated(shared_data, monkeypatch, tmp_path)
     row = Navigator(worker.inputs).solve(frame, camera, picture)
     assert row.solved, row.reason
     assert row.n_used > 100
-    seen = observation_of(frame, camera, picture)
+    seen = make_observation(frame, camera, picture)
     sigma = worker.given.settings.attitude_sigma_rad(seen.attitude_sigma_rad)
     view = camera, seen.camera_from_body, sigma, seen.sun_body
     other = find_other_body(worker.inputs.motion, seen.tdb_s)
@@ -205,7 +205,7 @@ def test_a_control_point_over_all_levels(scene, matcher):
     read = load_picture(scene.folder.picture_path(frame), camera)
     picture = PicturePyramid(read.values)
     context = FrameContext(
-        observation_of(frame, camera, read),
+        make_observation(frame, camera, read),
         picture,
         scene.points,
         NavigateSettings(),

@@ -14,7 +14,7 @@ from catalog.geometry.cells import CellGrid
 from catalog.pipeline import check, render, select
 from catalog.pipeline.config import BodySettings, BuildConfig
 from catalog.pipeline.context import StageContext
-from catalog.selection.localisation import hessian_eigenvalue_map
+from catalog.selection.localisation import compute_hessian_eigenvalue_map
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
 from tests.bench.timing import best, one_core, result, sized, within
@@ -39,7 +39,9 @@ def test_the_score_against_opencv_s_harris(tile):
         theirs = best(lambda: cv2.cornerHarris(tile, WINDOW - 1, 3, 0.04), 5)
         small = best(lambda: cv2.cornerHarris(tile, 3, 3, 0.04), 5)
         for step in (1, 4):
-            ours = best(lambda s=step: hessian_eigenvalue_map(tile, POSTING_M, WINDOW, step=s), 5)
+            ours = best(
+                lambda s=step: compute_hessian_eigenvalue_map(tile, POSTING_M, WINDOW, step=s), 5
+            )
             result(
                 f"localisation score, {WINDOW} nodes wide, all Sun azimuths, "
                 + ("at every node" if step == 1 else f"at every {step}th node"),

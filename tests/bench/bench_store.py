@@ -134,7 +134,7 @@ def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
         places = [xyz_from_latlon(*np.radians((a, b)), 1.0) for a, b in zip(lat, lon)]
         by_tree = best(lambda: [tree.query(place) for place in places], 3) / NEAREST * 1e6
         ids = [int(i) for i in rng.choice(catalog.ids, LOADED, replace=False)]
-        cell = best(lambda: [catalog.row_of(i) for i in ids], 3) / LOADED * 1e6
+        cell = best(lambda: [catalog.find_row(i) for i in ids], 3) / LOADED * 1e6
         load = best(lambda: [catalog.patches(i) for i in ids], 5) / LOADED * 1e3
         data = b"".join(catalog.patches(i)[0].heights_m.tobytes() for i in ids)
         layers = {

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from catalog.errors import OutputError
-from catalog.files import replacing_file, replacing_folder
-from catalog.places import check_apart, claimed, locked, make_folder
+from catalog.files import replace_file, replace_folder
+from catalog.places import check_apart, lock_file, lock_output, make_folder
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -60,12 +60,12 @@ def link_to_itself(path):
 
 
 def write_file(path):
-    with replacing_file(path, lambda _: True) as new:
+    with replace_file(path, lambda _: True) as new:
         new.write_bytes(b"new")
 
 
 def write_folder(path):
-    with replacing_folder(path, "run"):
+    with replace_folder(path, "run"):
         pass
 
 
@@ -113,9 +113,9 @@ def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path):
 
 def test_what_is_locked_is_not_locked_twice(tmp_path):
     lock = tmp_path / "lock"
-    with locked(lock), pytest.raises(BlockingIOError), locked(lock):
+    with lock_file(lock), pytest.raises(BlockingIOError), lock_file(lock):
         pass
-    with locked(lock):
+    with lock_file(lock):
         pass
 
 
@@ -125,7 +125,7 @@ def test_a_lock_is_neither_a_link_nor_a_pipe(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for name in ("link", "pipe"):
         with pytest.raises(OSError, match=name):
-            locked(tmp_path / name).__enter__()
+            lock_file(tmp_path / name).__enter__()
     assert (tmp_path / "letter").read_text() == "Dear"
 
 
@@ -150,12 +150,12 @@ def test_a_claimed_place_is_refused_under_each_of_its_names(tmp_path):
     (tmp_path / "link").symlink_to("run")
     (tmp_path / "beside").symlink_to(tmp_path)
     place.mkdir()
-    with claimed(place):
+    with lock_output(place):
         for other in (place, tmp_path / "link", tmp_path / "beside" / "run"):
             (said,) = in_another_thread(lambda other=other: write_folder(other))
             assert "another optnav is writing this output; wait for it or name another" in said
         assert not in_another_thread(lambda: write_file(tmp_path / "run2"))
-        with claimed(place):  # its own thread may
+        with lock_output(place):  # its own thread may
             pass
         assert in_another_thread(lambda: write_folder(place))
     assert names(tmp_path) == ["beside", "link", "run", "run2"]
@@ -166,18 +166,18 @@ def test_a_folder_and_what_is_written_into_it_are_not_written_at_once(tmp_path):
     inside.parent.mkdir(parents=True)
     (place / "manifest.json").write_text('{"made_by": "optnav", "kind": "run"}')
     for first, second in ((place, inside), (inside, place)):
-        with claimed(first):
-            (said,) = in_another_thread(lambda second=second: claimed(second).__enter__())
+        with lock_output(first):
+            (said,) = in_another_thread(lambda second=second: lock_output(second).__enter__())
             assert said.startswith(f"{first}: another optnav is writing this output")
-            with claimed(second):  # as a demo does, whose folder holds all its outputs
+            with lock_output(second):  # as a demo does, whose folder holds all its outputs
                 pass
     (place / ".gone.optnav-lock").touch()  # of a killed process
-    with claimed(place), claimed(inside):
+    with lock_output(place), lock_output(inside):
         pass
 
 
 def test_a_claim_leaves_no_empty_folders_behind(tmp_path):
-    with suppress(RuntimeError), claimed(tmp_path / "deep" / "deeper" / "file"):
+    with suppress(RuntimeError), lock_output(tmp_path / "deep" / "deeper" / "file"):
         raise RuntimeError
     assert names(tmp_path) == []
     write_file(tmp_path / "deep" / "deeper" / "file")
@@ -187,8 +187,8 @@ def test_a_claim_leaves_no_empty_folders_behind(tmp_path):
 KILLED = """
     import sys, time
     from pathlib import Path
-    from catalog.places import claimed
-    with claimed(Path(sys.argv[1])):
+    from catalog.places import lock_output
+    with lock_output(Path(sys.argv[1])):
         print("ready", flush=True)
         time.sleep(60)
 """
@@ -212,18 +212,18 @@ PAIRS = """
     import json, os, sys, time
     from pathlib import Path
     from catalog.errors import OutputError
-    from catalog.files import replacing_file, replacing_folder
+    from catalog.files import replace_file, replace_folder
 
     kind, place = sys.argv[1], Path(sys.argv[2])
     written = refused = 0
 
     def write(word):
         if kind == "file":
-            with replacing_file(place, lambda _: True) as new:
+            with replace_file(place, lambda _: True) as new:
                 new.write_text(word * 1000)
                 time.sleep(0.02)
         else:
-            with replacing_folder(place, "run") as new:
+            with replace_folder(place, "run") as new:
                 (new / "manifest.json").write_text('{"made_by": "optnav", "kind": "run"}')
                 time.sleep(0.02)
                 (new / "word").write_text(word * 1000)

@@ -19,9 +19,9 @@ from catalog.rasters import (
     PICTURES,
     TERRAIN,
     encode_geotiff,
-    held_settings,
+    handle_read_errors,
+    keep_gdal_settings,
     open_raster,
-    reading_raster,
     reopen_raster,
 )
 from catalog.terrain.dem.source import DemSettings, DemSource
@@ -400,9 +400,9 @@ def test_settings_are_held_for_a_threads_readings_and_then_let_go() -> None:
         options = rasterio.env.getenv()
         return options["GDAL_DISABLE_READDIR_ON_OPEN"], options["CPL_VSIL_CURL_ALLOWED_FILENAME"]
 
-    with held_settings():
+    with keep_gdal_settings():
         for siblings, beside in ((True, "FALSE"), (False, "EMPTY_DIR"), (True, "FALSE")):
-            with reading_raster(Path("any.tif"), siblings=siblings):
+            with handle_read_errors(Path("any.tif"), siblings=siblings):
                 assert found() == (beside, "none")
         outside: list[bool] = []
         thread = threading.Thread(target=lambda: outside.append(rasterio.env.hasenv()))
@@ -410,5 +410,5 @@ def test_settings_are_held_for_a_threads_readings_and_then_let_go() -> None:
         thread.join()
         assert outside == [False]
     assert not rasterio.env.hasenv()
-    with reading_raster(Path("any.tif")):
+    with handle_read_errors(Path("any.tif")):
         assert found() == ("FALSE", "none")

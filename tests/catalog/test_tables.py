@@ -64,7 +64,7 @@ def test_a_damaged_table_names_line_column_and_what_is_wanted(
 
 
 def test_the_columns_are_documented_from_their_declaration() -> None:
-    lines = TABLE.markdown().splitlines()
+    lines = TABLE.format_markdown().splitlines()
     assert lines[0] == "| column | unit | holds | may be empty |"
     assert lines[3:5] == [
         "| `x_m` | m | place along x | yes |",

@@ -53,7 +53,7 @@ def write_run(folder, count=40, seed=0, scale=1.0, unsolved_from=None, attitude=
     for index, (utc, position, axes) in enumerate(orbit(count, seed)):
         file = f"frame_{index:04d}.png"
         camera_from_body = nadir(axes)
-        quaternion = quaternion_from_rotation(frames.written(camera_from_body, utc))
+        quaternion = quaternion_from_rotation(frames.convert_for_file(camera_from_body, utc))
         numbers = [*(f"{v:.4f}" for v in position), *(f"{v:.15f}" for v in quaternion)]
         truth.append(",".join([file, utc, *numbers]))
         frame_rows.append(f"{file},{utc},unk")

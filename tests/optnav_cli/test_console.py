@@ -182,9 +182,9 @@ def test_only_a_run_that_compiles_says_so(tmp_path: Path) -> None:
     )
     script = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
-        "from optnav_cli.console import announce_compilation, set_up_logging\n"
+        "from optnav_cli.console import report_compilation, set_up_logging\n"
         "set_up_logging(quiet=False, verbose=False, log_file=None)\n"
-        "announce_compilation()\n"
+        "report_compilation()\n"
         "from some_kernel import twice\n"
         "print(twice(2.0))\n"
     )

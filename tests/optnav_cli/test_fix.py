@@ -7,7 +7,7 @@ import pytest
 
 from catalog.errors import NoSolutionError
 from optnav_cli.fix import Fix, Method, NoFix, PositionPrior, Solution
-from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, distinct_texts
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, format_distinct
 
 DARK = Reason(ReasonCode.NO_LIMB, "no limb in view")
 ARC = Reason(ReasonCode.CONTRADICTS_ARC, "3 km from the arc")
@@ -21,15 +21,15 @@ def test_every_code_is_words_with_underscores_and_has_a_meaning():
 
 
 def test_an_error_gives_its_reason_and_back():
-    assert Reason.of(NoSolutionError("why")) == Reason(ReasonCode.NO_SOLUTION, "why")
-    assert Reason.of(DARK.error()) == DARK
+    assert Reason.from_error(NoSolutionError("why")) == Reason(ReasonCode.NO_SOLUTION, "why")
+    assert Reason.from_error(DARK.error()) == DARK
 
 
 def test_reasons_one_after_the_other_keep_the_code_of_the_first():
-    both = DARK.followed_by(ARC)
+    both = DARK.add_sentence(ARC)
     assert (both.code, both.text) == (DARK.code, "no limb in view; 3 km from the arc")
-    assert DARK.followed_by(NO_REASON) == DARK
-    assert NO_REASON.followed_by(ARC) == ARC
+    assert DARK.add_sentence(NO_REASON) == DARK
+    assert NO_REASON.add_sentence(ARC) == ARC
     assert not NO_REASON
 
 
@@ -72,7 +72,7 @@ def test_an_isotropic_prior_has_its_sigma_in_every_direction():
     ],
 )
 def test_a_number_and_its_limit_are_told_apart(value, limit, decimals, wanted):
-    assert distinct_texts(value, limit, decimals) == wanted
+    assert format_distinct(value, limit, decimals) == wanted
 
 
 def test_each_reason_has_one_label_its_code_in_words():

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
+from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation
 from optnav_cli.main import cli, main
 from optnav_cli.options import LazyGroup, OptnavCommand
 from optnav_cli.parameters import OutputOption
@@ -43,15 +43,15 @@ def _command(study: Study) -> click.Command:
         plot: Path | None = None,
         **options: Any,
     ) -> None:
-        from catalog.files import check_file, starts_with
+        from catalog.files import check_file, make_prefix_test
         from optnav_cli.report import sheet
         from tests.studies import tables
 
         for place, beginning in ((plot, sheet.BEGINNING.encode()), (json_file, tables.BEGINNING)):
             if place is not None:
-                check_file(place, starts_with(beginning))  # before hours of work
+                check_file(place, make_prefix_test(beginning))  # before hours of work
         if study.compiles:
-            announce_compilation()
+            report_compilation()
         result = study.function("run")(progress=progress, **options)
         report = study.function("report")(result)
         click.echo(report.to_text(), err=bool(study.prints))

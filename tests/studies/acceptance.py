@@ -24,7 +24,7 @@ import numpy as np
 from catalog.arrays import Float32Array
 from catalog.bodies.body import load_body
 from catalog.config import resource
-from catalog.files import starts_with, write_output
+from catalog.files import make_prefix_test, write_output
 from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
@@ -34,7 +34,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, preset_camera
 from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.frames.folder import Folder, read_folder
-from optnav_cli.frames.observation import observation_of
+from optnav_cli.frames.observation import make_observation
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigate.inputs import open_catalogs, open_field
@@ -175,7 +175,7 @@ def _pictures(
     camera = binned(preset_camera(scenario.camera.name))
     file = (output / "cameras" / f"{camera.name}.toml").resolve()
     make_folder(file.parent)
-    write_output(file, camera_toml(camera).encode(), starts_with(b"name = "))
+    write_output(file, camera_toml(camera).encode(), make_prefix_test(b"name = "))
     scenario = msgspec.structs.replace(scenario, camera=MainCamera(str(file)))
     # the finest relief goes with the pixels, and two grounds of a case are enough
     detail, offset = scenario.detail, FIT_SEEDS * fit
@@ -235,7 +235,7 @@ def _views(row: AcceptanceCase, folder: Folder) -> list[PosedPicture]:
     views = []
     for frame in folder.frames:
         camera = folder.cameras[frame.camera]
-        seen = observation_of(frame, camera, load_picture(folder.picture_path(frame), camera))
+        seen = make_observation(frame, camera, load_picture(folder.picture_path(frame), camera))
         truth = truths.get(frame.file)
         if truth is not None:
             views.append(

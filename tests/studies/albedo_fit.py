@@ -18,7 +18,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
-from catalog.config import resource, toml_text
+from catalog.config import read_toml_text, resource
 from catalog.correlation.filters import filter_high_pass
 from catalog.correlation.relief_albedo import (
     FILE,
@@ -27,7 +27,7 @@ from catalog.correlation.relief_albedo import (
     load_shipped_strengths,
 )
 from catalog.errors import NothingToDoError
-from catalog.files import check_file, starts_with, write_output
+from catalog.files import check_file, make_prefix_test, write_output
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.progress import Progress
 from catalog.terrain.dem.source import DemSettings, DemSource
@@ -97,7 +97,7 @@ def run(progress: Progress, rows: str, output: Path | None) -> AlbedoFitResult:
     rows  only boxes whose name contains this
     """
     if output is not None:
-        check_file(output, starts_with(BEGINNING))
+        check_file(output, make_prefix_test(BEGINNING))
     chosen = {name: box for name, box in FITTED.items() if rows in name}
     if not chosen:
         raise NothingToDoError(f"no ground to fit with is called '{rows}': {', '.join(FITTED)}")
@@ -120,8 +120,8 @@ def run(progress: Progress, rows: str, output: Path | None) -> AlbedoFitResult:
     old = load_shipped_strengths()
     new = fitted(fit)
     if output is not None:
-        text = likelihood.with_numbers(toml_text(resource(FILE)), numbers(old), new)
-        write_output(output, text.encode(), starts_with(BEGINNING))
+        text = likelihood.with_numbers(read_toml_text(resource(FILE)), numbers(old), new)
+        write_output(output, text.encode(), make_prefix_test(BEGINNING))
     rest = ([found[name] for name in names] for names in (held, shown))
     return AlbedoFitResult(old, new, fit, *rest)
 

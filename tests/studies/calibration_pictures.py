@@ -120,7 +120,7 @@ def _with_camera(source: Path, place: Path, camera: Camera) -> None:
         rng = np.random.default_rng([7, len(frames)])
         if turn is None or frame.position_m is None:
             continue
-        attitude = camera.aligned(stated.stated(turn))
+        attitude = camera.apply_boresight(stated.remove_boresight(turn))
         prior = frame.position_m + PRIOR_M * rng.normal(size=3)
         sigma = float(np.hypot(STARS_ARCSEC * ARCSEC, camera.boresight_sigma_rad))
         frames.append(

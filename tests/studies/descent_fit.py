@@ -17,15 +17,15 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from catalog.arrays import BoolArray, FloatArray, IndexArray
-from catalog.config import resource, toml_text
+from catalog.config import read_toml_text, resource
 from catalog.errors import NothingToDoError
-from catalog.files import check_file, starts_with, write_output
+from catalog.files import check_file, make_prefix_test, write_output
 from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.control_points.expectation import FrameContext
 from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.estimation.models.points import Pose, predict
-from optnav_cli.frames.observation import observation_of
+from optnav_cli.frames.observation import make_observation
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigate.descent.errors import (
@@ -135,7 +135,7 @@ def run(
     rows    only flights whose name contains this
     """
     if output is not None:
-        check_file(output, starts_with(BEGINNING))
+        check_file(output, make_prefix_test(BEGINNING))
     make_folder(folder)
     fit = _gathered(folder, FITTED, FITTED_WRONG, rows, progress)
     held = _gathered(folder, HELD, HELD_WRONG, rows, progress)
@@ -144,8 +144,8 @@ def run(
     old = shipped_sizes()
     new = fitted(fit, old)
     if output is not None:
-        text = with_sizes(toml_text(resource(FILE)), new)
-        write_output(output, text.encode(), starts_with(BEGINNING))
+        text = with_sizes(read_toml_text(resource(FILE)), new)
+        write_output(output, text.encode(), make_prefix_test(BEGINNING))
     return DescentFitResult(old, new, fit, held)
 
 
@@ -180,7 +180,7 @@ def gathered(case: str, pictures: Path, catalog: Path, progress: Progress) -> Fl
             for frame, truth in zip(folder.frames, truths, strict=True):
                 camera = folder.cameras[frame.camera]
                 picture = load_picture(folder.picture_path(frame), camera)
-                seen = observation_of(frame, camera, picture)
+                seen = make_observation(frame, camera, picture)
                 values = PicturePyramid(picture.values)
                 context = FrameContext(seen, values, field, inputs.settings, inputs.matcher)
                 pose = Pose(truth.position_m, truth.camera_from_body)

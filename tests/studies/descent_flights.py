@@ -19,9 +19,9 @@ from catalog.config import resource
 from catalog.errors import DataError
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.progress import Progress
-from catalog.rasters import TERRAIN, open_raster, reading_raster
+from catalog.rasters import TERRAIN, handle_read_errors, open_raster
 from optnav_cli.fix import NoFix, Solution
-from optnav_cli.frames.picture import frame_picture
+from optnav_cli.frames.picture import load_frame_picture
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.frames.truth import Truth, read_truth
 from optnav_cli.navigate.worker import FrameWorker, RunInputs
@@ -116,7 +116,7 @@ def catalog_of(output: Path, pictures: Path, progress: Progress, *, wrong: int =
 def write_wrong_model(path: Path, seed: int) -> Path:
     """The bundled model with errors of WRONG_M rms that are one to two postings wide."""
     source = resource(f"data/{MODEL}")
-    with open_raster(source, TERRAIN) as dataset, reading_raster(source):
+    with open_raster(source, TERRAIN) as dataset, handle_read_errors(source):
         heights = dataset.read(1).astype(np.float32)
         crs, transform = dataset.crs, dataset.transform
     heights += descent_model.model_error(heights.shape, WRONG_M, np.random.default_rng(seed))
@@ -151,7 +151,7 @@ def fly(
             )
             camera = folder.cameras[frame.camera]
             try:
-                picture = frame_picture(pictures, frame.file, camera)
+                picture = load_frame_picture(pictures, frame.file, camera)
             except DataError as error:  # all of it in shadow, as under the Sun of ground 33
                 reason = Reason(ReasonCode.BAD_PICTURE, str(error))
                 solution = Solution(frame.file, frame.utc, NoFix(reason))

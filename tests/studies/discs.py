@@ -28,7 +28,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.config import resource
 from catalog.errors import NoSolutionError
-from catalog.files import check_file, starts_with, write_output
+from catalog.files import check_file, make_prefix_test, write_output
 from catalog.progress import Progress
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.file import MeshSettings
@@ -222,7 +222,7 @@ class DiscResult:
     reason: str = ""
 
 
-is_disc_file = starts_with(b'[\n {\n  "shape"')
+is_disc_file = make_prefix_test(b'[\n {\n  "shape"')
 
 
 def run(progress: Progress, discs: int, output: Path | None) -> list[DiscResult]:

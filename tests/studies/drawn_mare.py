@@ -17,7 +17,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.pipeline.ingest import Bbox
-from catalog.rasters import TERRAIN, open_raster, reading_raster
+from catalog.rasters import TERRAIN, handle_read_errors, open_raster
 from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.synthetic.model_error import map_rms_slope
@@ -41,7 +41,7 @@ def write_drawn_mare(folder: Path) -> Path:
         cols, rows = source.pixel_from_latlon(np.radians([north, south]), np.radians([west, east]))
         (top, bottom), (left, right) = (np.rint(ends + 0.5).astype(int) for ends in (rows, cols))
         heights = source.read_window(top, left, bottom - top, right - left)
-    with open_raster(path, TERRAIN) as dataset, reading_raster(path):
+    with open_raster(path, TERRAIN) as dataset, handle_read_errors(path):
         place = dataset.transform @ Affine.translation(left, top) @ Affine.scale(0.5)
         crs, posting_m = dataset.crs, 0.5 * dataset.res[0]
     drawn = drawn_finer(heights, posting_m, fine_relief(real_heights(), posting_m))
@@ -51,7 +51,7 @@ def write_drawn_mare(folder: Path) -> Path:
 def real_heights() -> Float32Array:
     """The bundled crop of 474 m, an even number of nodes along each side."""
     path = resource(REAL)
-    with open_raster(path, TERRAIN) as dataset, reading_raster(path):
+    with open_raster(path, TERRAIN) as dataset, handle_read_errors(path):
         heights = dataset.read(1).astype(np.float32)
     rows, cols = (n // 2 * 2 for n in heights.shape)
     return np.ascontiguousarray(heights[:rows, :cols])

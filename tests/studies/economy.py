@@ -21,7 +21,7 @@ from catalog.geometry.cells import CellGrid
 from catalog.pipeline import check, render, select
 from catalog.pipeline.config import CheckSettings, RenderSettings
 from catalog.pipeline.context import StageContext
-from catalog.pipeline.trials import outcomes_at
+from catalog.pipeline.trials import run_trials
 from catalog.progress import Progress
 from tests.studies.selection import SUNS, Z95, free_grounds, tycho_context
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
@@ -128,7 +128,7 @@ def _rate(context: StageContext, place: Place, trials: int, seed: int) -> float:
     successes = 0
     for turn in range(-(-trials // SUNS)):
         seeds = [SEED_OF_TRIALS + seed, turn, own]
-        found = outcomes_at(context, patches, *place, seed=seeds, relief_seed=turn, trials=SUNS)
+        found = run_trials(context, patches, *place, seed=seeds, relief_seed=turn, trials=SUNS)
         successes += sum(o.accepted and o.distance <= limit for o in found)
     return successes / (-(-trials // SUNS) * SUNS)
 

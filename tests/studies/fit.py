@@ -16,9 +16,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from catalog.arrays import BoolArray, FloatArray
-from catalog.config import resource, toml_text
+from catalog.config import read_toml_text, resource
 from catalog.errors import NothingToDoError, UsageError
-from catalog.files import check_file, starts_with, write_output
+from catalog.files import check_file, make_prefix_test, write_output
 from catalog.geometry.vectors import squared_distance
 from catalog.places import make_folder
 from catalog.progress import Progress
@@ -41,7 +41,7 @@ from optnav_cli.estimation.least_squares import inverse_of, linearised
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.estimation.resection import errors_of_scatter, with_dependent_errors
 from optnav_cli.estimation.robust import variance_factor
-from optnav_cli.frames.observation import Observation, observation_of
+from optnav_cli.frames.observation import Observation, make_observation
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import Truth, read_truth
 from optnav_cli.navigate.answers import NavigationInputs
@@ -123,7 +123,7 @@ def run(
     if name == "horizon":
         return horizon_fit.run(progress, folder, frames, rows, output)
     if output is not None:
-        check_file(output, starts_with(BEGINNING))
+        check_file(output, make_prefix_test(BEGINNING))
     make_folder(folder)
     chosen = {n: c for n, c in (FITTED | SCORED).items() if rows in n}
     if not chosen.keys() & FITTED.keys():
@@ -141,8 +141,8 @@ def run(
     old = shipped_sizes()
     new = fitted(fit, old)
     if output is not None:
-        text = with_sizes(toml_text(resource(FILE)), new)
-        write_output(output, text.encode(), starts_with(BEGINNING))
+        text = with_sizes(read_toml_text(resource(FILE)), new)
+        write_output(output, text.encode(), make_prefix_test(BEGINNING))
     return FitResult(old, new, fit, held)
 
 
@@ -167,7 +167,7 @@ def gathered(
             for frame in worker.folder.frames:
                 camera = worker.folder.cameras[frame.camera]
                 picture = load_picture(worker.folder.picture_path(frame), camera)
-                seen = observation_of(frame, camera, picture)
+                seen = make_observation(frame, camera, picture)
                 one = of_frame(worker.inputs, seen, truths[frame.file], name)
                 if one is not None:
                     found.append(one)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import Float32Array
 from catalog.config import resource
 from catalog.errors import NothingToDoError
-from catalog.files import starts_with, write_output
+from catalog.files import make_prefix_test, write_output
 from catalog.geometry.rotations import ARCSEC
 from catalog.pipeline import build
 from catalog.pipeline.ingest import Bbox
@@ -105,7 +105,7 @@ def written_model(path: Path, heights: Float32Array, crs: object, transform: obj
     """A drawn terrain model as GeoTIFF; left alone when it is there already."""
     data = descent_model.geotiff(heights, crs, transform)
     if not (path.is_file() and path.read_bytes() == data):
-        write_output(path, data, starts_with(data[:4]))
+        write_output(path, data, make_prefix_test(data[:4]))
     return path
 
 
@@ -153,7 +153,7 @@ def built_catalog(config: Path, text: str, progress: Progress, bbox: Bbox | None
     """The catalog beside a build configuration that is written with this text."""
     # left alone when it is right, so that rows can run side by side in one folder
     if not (config.is_file() and config.read_text(encoding="utf-8") == text):
-        write_output(config, text.encode(), starts_with(text.encode()[:40]))
+        write_output(config, text.encode(), make_prefix_test(text.encode()[:40]))
     catalog = config.with_suffix(".gpkg")
     build.run(config, output=catalog, bbox=bbox, progress=progress)
     return catalog

@@ -15,9 +15,9 @@ import msgspec
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.config import resource, toml_text
+from catalog.config import read_toml_text, resource
 from catalog.errors import NoSolutionError, NothingToDoError
-from catalog.files import check_file, starts_with, write_output
+from catalog.files import check_file, make_prefix_test, write_output
 from catalog.geometry.vectors import squared_distance
 from catalog.places import make_folder
 from catalog.progress import Progress
@@ -117,7 +117,7 @@ def run(
             the flights of horizon_flights, scored on those of another seed
     """
     if output is not None:
-        check_file(output, starts_with(BEGINNING))
+        check_file(output, make_prefix_test(BEGINNING))
     globe = resolve_path(flights.GLOBE, Path.cwd())
     make_folder(folder)
     names = NAMES
@@ -150,8 +150,8 @@ def run(
     new = fitted(fit, old, names)
     if output is not None:
         pairs = numbers(old, names), numbers(new, names)
-        text = likelihood.with_numbers(toml_text(resource(FILE)), *pairs)
-        write_output(output, text.encode(), starts_with(BEGINNING))
+        text = likelihood.with_numbers(read_toml_text(resource(FILE)), *pairs)
+        write_output(output, text.encode(), make_prefix_test(BEGINNING))
     return HorizonFitResult(old, new, fit, held, names)
 
 

@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 
 from catalog.arrays import FloatArray
 from catalog.config import resource
-from catalog.files import starts_with, write_output
+from catalog.files import make_prefix_test, write_output
 from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
@@ -199,7 +199,7 @@ def _scenario(shipped: str, changes: Changes, changed: Path) -> Path:
     text = path.read_text(encoding="utf-8")
     for old, new in changes:
         text = text.replace(old, new)
-    write_output(changed, text.encode(), starts_with(text.encode()[:20]))
+    write_output(changed, text.encode(), make_prefix_test(text.encode()[:20]))
     return changed
 
 

@@ -23,13 +23,13 @@ from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
 from catalog.pipeline import check, render, select
-from catalog.pipeline.cell_map import CellGround, cell_ground, separation_places, suns_of
+from catalog.pipeline.cell_map import CellGround, compute_separation, cut_cell_ground, sample_suns
 from catalog.pipeline.config import BodySettings, BuildConfig, DemSection
 from catalog.pipeline.context import StageContext
-from catalog.pipeline.trials import outcomes_at
+from catalog.pipeline.trials import run_trials
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
-from catalog.selection.spacing import choose_spaced, strongest_peaks
+from catalog.selection.spacing import choose_spaced, find_peaks
 from catalog.selection.trial import Outcome
 from catalog.terrain.dem.mosaic import Mosaic
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
@@ -125,7 +125,7 @@ def free_grounds(context: StageContext) -> dict[int, CellGround]:
     for cell in range(context.grid.total):
         lat, lon = np.radians(context.grid.centre_deg(cell))
         if context.mosaic.covers(lat, lon, 8.0 * context.posting_m).all():
-            ground = cell_ground(context, cell)
+            ground = cut_cell_ground(context, cell)
             if ground is None:
                 continue
             # whether there is a choice: cells on the terrain's edge leave the same places to all
@@ -144,7 +144,7 @@ def _one_sun_harris(
     settings = context.config.render
     cells, places, scores = [], [], []
     for cell, ground in grounds.items():
-        suns = suns_of(settings, np.degrees(ground.projection.lat))
+        suns = sample_suns(settings, np.degrees(ground.projection.lat))
         sun, radius_m = suns[turn % len(suns)], context.body.radius_m
         picture = render_map(ground.heights, context.posting_m, sun, radius_m=radius_m)
         filled = np.nan_to_num(picture, nan=float(np.nanmean(picture)))
@@ -152,8 +152,8 @@ def _one_sun_harris(
         nodes = np.arange(ground.lat.shape[0]) * ground.step + ground.window // 2
         at_places = response[np.ix_(nodes, nodes)]
         free = np.where(ground.inside & ground.covered, at_places, np.nan).astype(np.float32)
-        radius = separation_places(context, ground)
-        for peak in strongest_peaks(free - np.nanmin(free), radius, settings.candidates):
+        radius = compute_separation(context, ground)
+        for peak in find_peaks(free - np.nanmin(free), radius, settings.candidates):
             cells.append(cell)
             places.append((float(ground.lat[peak]), float(ground.lon[peak])))
             scores.append(-float(at_places[peak]))
@@ -169,7 +169,7 @@ def _trials(
     """A round of trials at a place, under the circumstances of the check stage."""
     patches, relief = context.patches(*place), 3 + sum(seed)  # neighbouring rounds see other relief
     own = [*seed, len(seed)]
-    return list(outcomes_at(context, patches, *place, seed=own, relief_seed=relief, trials=SUNS))
+    return list(run_trials(context, patches, *place, seed=own, relief_seed=relief, trials=SUNS))
 
 
 def summarise(

@@ -19,7 +19,7 @@ import numpy as np
 import catalog
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
-from catalog.files import starts_with, write_output
+from catalog.files import make_prefix_test, write_output
 from optnav_cli.output.wording import align_table
 
 Cell = str | int | float | None
@@ -146,7 +146,7 @@ class StudyReport:
 
     def write(self, path: Path) -> None:
         """Write the JSON; older figures there are replaced. Raises OutputError for all else."""
-        write_output(path, self.to_json().encode(), starts_with(BEGINNING))
+        write_output(path, self.to_json().encode(), make_prefix_test(BEGINNING))
 
     def to_text(self) -> str:
         """All tables and notes for a terminal."""

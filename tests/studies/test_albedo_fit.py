@@ -8,7 +8,7 @@ import pytest
 from scipy import ndimage
 
 from catalog.bodies.body import load_body
-from catalog.config import resource, toml_text
+from catalog.config import read_toml_text, resource
 from catalog.correlation.relief_albedo import (
     FILE,
     SMOOTH_M,
@@ -67,7 +67,7 @@ def test_the_report_tells_grounds_that_were_not_fitted_with() -> None:
 
 def test_new_strengths_are_written_over_the_old_ones() -> None:
     old = numbers(load_shipped_strengths())
-    text = likelihood.with_numbers(toml_text(resource(FILE)), old, old | {"crests.mean": -0.5})
+    text = likelihood.with_numbers(read_toml_text(resource(FILE)), old, old | {"crests.mean": -0.5})
     assert "mean = -0.5 " in text
     assert text.count("mean = 0.96") == 1
 

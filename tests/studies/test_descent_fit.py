@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from catalog.arrays import FloatArray
-from catalog.config import resource, toml_text
+from catalog.config import read_toml_text, resource
 from catalog.geometry.latlon import body_from_local
 from optnav_cli.navigate.descent.errors import FILE, WindowGround, shipped_sizes
 from optnav_cli.navigate.descent.windows import STEP, WindowKey, overlap
@@ -99,7 +99,7 @@ def test_the_shipped_sizes_are_the_calibrated_ones(calibrated: list[FlightErrors
 
 def test_new_sizes_are_written_into_the_file_of_the_old_ones() -> None:
     new = descent_fit.scaled(shipped_sizes(), {"common": 1.5})
-    text = toml_text(resource(FILE))
+    text = read_toml_text(resource(FILE))
     made = descent_fit.with_sizes(text, new)
     changed = [(a, b) for a, b in zip(text.splitlines(), made.splitlines(), strict=True) if a != b]
     assert [line for _, line in changed] == [f"common = {new.common:.2g}"]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from catalog.config import load_toml, resource, toml_text
+from catalog.config import load_toml, read_toml_text, resource
 from catalog.correlation.ncc import match_ncc
 from catalog.errors import NothingToDoError, OutputError
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
@@ -201,13 +201,13 @@ def test_a_shipped_size_of_half_or_twice_the_calibrated_one_is_seen(name):
 
 def test_a_file_with_other_sizes_loads_and_keeps_its_comments(tmp_path):
     sizes = fit.scaled(shipped_sizes(), {"own.warped_m": 2.0, "common.shift_px": 0.5})
-    text = fit.with_sizes(toml_text(resource(FILE)), sizes)
+    text = fit.with_sizes(read_toml_text(resource(FILE)), sizes)
     (tmp_path / "sizes.toml").write_text(text, encoding="utf-8")
     found = load_toml(tmp_path / "sizes.toml", PointErrorSizes)
     assert (found.own.warped_m, found.common.shift_px) == (30.0, pytest.approx(0.0022, rel=0.05))
     assert found.common.height_nodes == shipped_sizes().common.height_nodes
     assert text.startswith(fit.BEGINNING.decode())
-    lines = zip(text.splitlines(), toml_text(resource(FILE)).splitlines(), strict=True)
+    lines = zip(text.splitlines(), read_toml_text(resource(FILE)).splitlines(), strict=True)
     changed = [line.split() for line, was in lines if line != was]
     assert [words[:3] for words in changed] == [
         ["warped_m", "=", "30"],

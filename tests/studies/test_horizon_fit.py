@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from catalog.config import resource, toml_text
+from catalog.config import read_toml_text, resource
 from catalog.errors import ConfigError, NothingToDoError
 from catalog.progress import SilentProgress
 from optnav_cli.outline.limb.limb_rays import LimbRays, make_limb_rays
@@ -72,10 +72,12 @@ def test_the_report_scores_the_limbs_that_were_held_back() -> None:
 
 def test_new_sizes_are_written_among_the_old_text() -> None:
     old = numbers(load_horizon_sizes())
-    text = likelihood.with_numbers(toml_text(resource(FILE)), old, old | {"crest.noise_m": 54.0})
+    text = likelihood.with_numbers(
+        read_toml_text(resource(FILE)), old, old | {"crest.noise_m": 54.0}
+    )
     changed = [
         (before, after)
-        for before, after in zip(toml_text(resource(FILE)).splitlines(), text.splitlines())
+        for before, after in zip(read_toml_text(resource(FILE)).splitlines(), text.splitlines())
         if before != after
     ]
     assert len(changed) == 1

@@ -22,7 +22,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import DataError
 from catalog.geometry.grid import sample_bicubic
-from catalog.rasters import TERRAIN, open_raster, reading_raster, reopen_raster
+from catalog.rasters import TERRAIN, handle_read_errors, open_raster, reopen_raster
 from catalog.terrain.dem.file import (
     RADIUS_TOLERANCE,
     Conversion,
@@ -128,7 +128,7 @@ class DemSource:
         path = find_label(resolve_path(settings.path, base_dir))
         dataset = open_raster(path, TERRAIN, remedy or f"check `path` in {section}")
         try:
-            with reading_raster(path):
+            with handle_read_errors(path):
                 return cls._read_header(path, settings, body, dataset, section)
         except BaseException:
             dataset.close()
@@ -349,7 +349,7 @@ class DemSource:
     def _reading(self, what: str = "") -> Iterator[Any]:
         if self._dataset is None:
             self._dataset = reopen_raster(self.path, TERRAIN)
-        with reading_raster(self.path, what=what):
+        with handle_read_errors(self.path, what=what):
             yield self._dataset
 
     def reopen(self) -> "DemSource":

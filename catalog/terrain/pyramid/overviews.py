@@ -24,7 +24,7 @@ from catalog.arrays import BoolArray, Float32Array
 from catalog.errors import DataError, OutputError
 from catalog.geometry.kernel import kernel
 from catalog.progress import Progress
-from catalog.rasters import OWN, gdal_reason, reopen_raster
+from catalog.rasters import OWN, extract_gdal_reason, reopen_raster
 from catalog.terrain.dem.file import HEIGHTS, Conversion, is_height
 from catalog.terrain.dem.height_sample import HeightSample
 from catalog.terrain.dem.source import DemSettings, DemSource
@@ -217,7 +217,7 @@ def _explain_unwritten(folder: Path, error: RasterioError) -> str:
             probe.flush()
     except OSError as reason:
         return reason.strerror or str(reason)
-    return gdal_reason(error)
+    return extract_gdal_reason(error)
 
 
 def _process_in_order(

@@ -16,9 +16,9 @@ from rasterio.windows import Window
 from catalog.arrays import BoolArray, Float32Array
 from catalog.bodies.body import Body
 from catalog.errors import DataError, OutputError
-from catalog.files import putting_folder, stored_json
+from catalog.files import decode_stored_json, replace_work_folder
 from catalog.progress import Progress, SilentProgress
-from catalog.rasters import OWN, reading_raster, reopen_raster
+from catalog.rasters import OWN, handle_read_errors, reopen_raster
 from catalog.terrain.dem.file import HEIGHTS, Conversion
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.pyramid.overviews import (
@@ -89,7 +89,7 @@ class HeightPyramid:
             return self.source.read_raw(row, col, height, width), self.source.convert
         path = level_path(self.folder, level)
         try:
-            with reading_raster(path):
+            with handle_read_errors(path):
                 if level not in self._open:
                     self._open[level] = reopen_raster(path, OWN)
                 raw = self._open[level].read(1, window=Window(col, row, width, height))
@@ -111,7 +111,7 @@ class HeightPyramid:
     def load(cls, source: DemSource, folder: Path) -> "HeightPyramid | None":
         """The pyramid that a folder holds, None where there is no whole one of this source."""
         try:
-            record = stored_json((folder / "pyramid.json").read_bytes(), PyramidRecord)
+            record = decode_stored_json((folder / "pyramid.json").read_bytes(), PyramidRecord)
         except FileNotFoundError:
             return None
         if record is None:
@@ -136,7 +136,7 @@ class HeightPyramid:
         OutputError when the place cannot be written.
         """
         try:
-            with putting_folder(folder) as new:
+            with replace_work_folder(folder) as new:
                 record = write_levels(source, new, workers, progress or SilentProgress())
                 (new / "pyramid.json").write_bytes(msgspec.json.encode(record))
         except OSError as error:

@@ -20,7 +20,7 @@ from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.fix import Evidence, Fix, MatchKind, Method, NoFix, PositionPrior, Solution
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.observation import observation_of
+from optnav_cli.frames.observation import make_observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.navigate.answers import Answers, FrameMethods, NavigationInputs
@@ -127,7 +127,7 @@ class DescentNavigator:
         answers  none are kept: a frame of a track depends on all before it
         """
         try:
-            observation = observation_of(frame, camera, picture)
+            observation = make_observation(frame, camera, picture)
             if observation.prior is None:
                 raise NoSolutionError(
                     "no position: [inertial] says that frames.csv is a track", ReasonCode.NO_PRIOR
@@ -135,10 +135,10 @@ class DescentNavigator:
             if self._ground is None or self._windows is None:
                 raise NoSolutionError("no catalog was given", ReasonCode.NO_CATALOG)
         except NoSolutionError as error:
-            return Solution(frame.file, frame.utc, NoFix(Reason.of(error)))
+            return Solution(frame.file, frame.utc, NoFix(Reason.from_error(error)))
         stated = Pose(observation.prior.position_m, observation.camera_from_body)
         jump = self._advance(observation.tdb_s, stated.position_m)
-        loaded = replace(observation, picture=picture.loaded())
+        loaded = replace(observation, picture=picture.load())
         values = PicturePyramid(loaded.picture.values)
         inputs = self._inputs
         context = FrameContext(loaded, values, self._ground, inputs.settings, inputs.matcher)
@@ -207,7 +207,7 @@ class DescentNavigator:
         try:
             made = self._updated(frame, stated, sought, tracks)
         except NoSolutionError as error:
-            reason = Reason.of(error)
+            reason = Reason.from_error(error)
             if not self._is_carried(sought, tracks):
                 rows = match_rows(frame, sought, tracks, {}, self._state.filter.pose(stated))
                 n_found = sum(row.measured_px is not None for row in rows)

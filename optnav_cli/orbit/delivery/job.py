@@ -10,11 +10,11 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.epochs import DAY_S, utc_from_tdb_s
-from catalog.config import named_config
+from catalog.config import resolve_config
 from catalog.errors import NoSolutionError, NothingToDoError
-from catalog.files import hash_file, replacing_folder
+from catalog.files import hash_file, replace_folder
 from catalog.places import check_apart
-from catalog.progress import Progress, logged_stage
+from catalog.progress import Progress, log_stage
 from optnav_cli.frames.orbit_tables import DELIVERY_ARRIVALS, DELIVERY_BOXES, DELIVERY_STAGES
 from optnav_cli.orbit.delivery.boxes import (
     BoxStage,
@@ -94,11 +94,11 @@ def delivery_folder(settings_path: Path, output: Path, progress: Progress) -> De
     Raises ConfigError for wrong settings, NothingToDoError where no path leads to the target.
     """
     started = datetime.now(UTC)
-    path = named_config(settings_path, FOLDER)
+    path = resolve_config(settings_path, FOLDER)
     settings = load_delivery_settings(settings_path)
     check_apart(output, [path])
     section = settings.delivery
-    with logged_stage(STAGE), progress.stage(STAGE, 3, "step") as bar:
+    with log_stage(STAGE), progress.stage(STAGE, 3, "step") as bar:
         target = moon_of(section.target, path)
         try:
             task = delivery_task(settings, target, str(settings_path))
@@ -110,7 +110,7 @@ def delivery_folder(settings_path: Path, output: Path, progress: Progress) -> De
         trials = fly_deliveries(task, section.trials, section.seed, cut=False)
         bar.advance()
         result = DeliveryResult(task, boxes, trials)
-        with replacing_folder(output, DELIVERY_KIND) as place:
+        with replace_folder(output, DELIVERY_KIND) as place:
             DELIVERY_STAGES.write(place / STAGES_CSV, result.stages())
             DELIVERY_BOXES.write(place / BOXES_CSV, _box_cells(result))
             DELIVERY_ARRIVALS.write(place / ARRIVALS_CSV, _arrival_cells(result))

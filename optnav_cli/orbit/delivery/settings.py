@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.config import load_toml, named_config
+from catalog.config import load_toml, resolve_config
 from catalog.errors import ConfigError, DataError
 from optnav_cli.orbit.qso.settings import FOLDER
 
@@ -137,7 +137,7 @@ class DeliverySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, 
 
 def load_delivery_settings(path: Path) -> DeliverySettings:
     """Settings of a file, or of one that ships ("bundled:NAME"). Raises ConfigError."""
-    settings = load_toml(named_config(path, FOLDER), DeliverySettings)
+    settings = load_toml(resolve_config(path, FOLDER), DeliverySettings)
     section = settings.delivery
     try:
         utc_to_tdb_s(section.start, "[delivery] start")

@@ -15,8 +15,8 @@ from scipy.interpolate import CubicSpline
 from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import DataError
-from catalog.files import replacing_file, starts_with
-from catalog.progress import logged_stage
+from catalog.files import make_prefix_test, replace_file
+from catalog.progress import log_stage
 from optnav_cli.evaluation.evaluation import Evaluation, evaluate
 from optnav_cli.evaluation.figures import Figures
 from optnav_cli.evaluation.files import EVALUATION_CSV, EVALUATION_JSON, error_cells, summary_of
@@ -173,7 +173,7 @@ def evaluate_orbit(folder: Path, truth: Path) -> OrbitEvaluation:
 
     Raises DataError for a folder that is no orbit, a damaged file, a truth of other frames.
     """
-    with logged_stage("evaluate"):
+    with log_stage("evaluate"):
         orbit = read_orbit(folder)
         settings, body = read_run_settings(folder / RUN_TOML)
         attitude = FileAttitude(settings.attitude, body)
@@ -270,11 +270,11 @@ def _fixes_rms(folder: Path, found: Evaluation) -> FloatArray | None:
 def write_orbit_evaluation(found: OrbitEvaluation, folder: Path) -> None:
     """Write evaluation.json, evaluation.csv and orbit_errors.csv into an orbit's folder."""
     found.at_fixes.figures()
-    with replacing_file(folder / EVALUATION_CSV, starts_with(b"file,utc,status,")) as path:
+    with replace_file(folder / EVALUATION_CSV, make_prefix_test(b"file,utc,status,")) as path:
         EVALUATION.write(path, map(error_cells, found.at_fixes.frames))
-    with replacing_file(folder / ERRORS_CSV, starts_with(b"utc,hours,")) as path:
+    with replace_file(folder / ERRORS_CSV, make_prefix_test(b"utc,hours,")) as path:
         ORBIT_ERRORS.write(path, _rows(found.orbit))
-    with replacing_file(folder / EVALUATION_JSON, starts_with(b'{\n  "frames"')) as path:
+    with replace_file(folder / EVALUATION_JSON, make_prefix_test(b'{\n  "frames"')) as path:
         path.write_text(format_json(found.summary()) + "\n", encoding="utf-8")
 
 

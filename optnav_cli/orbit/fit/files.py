@@ -7,7 +7,7 @@ import numpy as np
 
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError, NothingToDoError, UsageError
-from catalog.files import replacing_file, starts_with, write_output
+from catalog.files import make_prefix_test, replace_file, write_output
 from catalog.geometry.ellipsoid import geodetic_from_xyz
 from catalog.geometry.rotations import rnb_axes
 from catalog.progress import Progress
@@ -106,11 +106,11 @@ def write_orbit(orbit: StoredOrbit, rows: OrbitRows, output: Path, craft: int) -
     """
     ending = output.suffix.lower()
     if ending == CSV:
-        with replacing_file(output, starts_with(CSV_BEGINNING)) as new:
+        with replace_file(output, make_prefix_test(CSV_BEGINNING)) as new:
             write_orbit_rows(new, rows, orbit.ephemeris)
     elif ending == OEM:
         oem = Oem(orbit.body.name, rows.times, rows.states, rows.times, rows.covariances)
-        with replacing_file(output, starts_with(BEGINNING)) as new:
+        with replace_file(output, make_prefix_test(BEGINNING)) as new:
             # the day of its last state, not of its writing: the same orbit makes the same file
             write_oem(new, oem, "CRAFT", utc_from_tdb_s(float(rows.times[-1]), 0))
     else:
@@ -120,7 +120,7 @@ def write_orbit(orbit: StoredOrbit, rows: OrbitRows, output: Path, craft: int) -
                 f"{orbit.body.name}: its body file has no [spice] naif, which a .bsp needs as its "
                 "centre; add it, or write an .oem"
             )
-        with replacing_file(output, starts_with(SPK_BEGINNING)) as new:
+        with replace_file(output, make_prefix_test(SPK_BEGINNING)) as new:
             write_spk(new, rows.times, rows.states, craft, spice.naif[0])
 
 
@@ -128,7 +128,7 @@ def export_orbit(folder: Path, output: Path, craft: int) -> None:
     """Write the states of an orbit's folder as another file. Raises DataError for a damaged one."""
     orbit = read_orbit(folder)
     if output.suffix.lower() == CSV:
-        write_output(output, (folder / ORBIT_CSV).read_bytes(), starts_with(CSV_BEGINNING))
+        write_output(output, (folder / ORBIT_CSV).read_bytes(), make_prefix_test(CSV_BEGINNING))
     else:
         write_orbit(orbit, orbit.rows, output, craft)
 
@@ -143,7 +143,7 @@ def time_pictures(run: Path, folder: Path, output: Path, margin_s: float, craft:
     if path.note:
         log.info("%s", path.note)
     timed = picture_times(path, found.fixes, margin_s)
-    with replacing_file(output, starts_with(b"file,utc_stamp,utc,")) as new:
+    with replace_file(output, make_prefix_test(b"file,utc_stamp,utc,")) as new:
         PICTURE_TIMES.write(new, map(_time_cells, timed))
     best = [(one.best.tdb_s, one.fix.tdb_s) for one in timed if one.best is not None]
     offsets = [time - stamp for time, stamp in best if np.isfinite(stamp)]

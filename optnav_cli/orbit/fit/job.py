@@ -16,9 +16,9 @@ from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError, DataError, NothingToDoError, UsageError
-from catalog.files import MANIFEST, replacing_folder
+from catalog.files import MANIFEST, replace_folder
 from catalog.places import check_apart
-from catalog.progress import logged_stage
+from catalog.progress import log_stage
 from catalog.terrain.dem.file import resolve_path
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.forces import Forces
@@ -83,7 +83,7 @@ def fit_runs(
     """
     started = datetime.now(UTC)
     check_apart(output, runs)
-    with logged_stage("orbit"):
+    with log_stage("orbit"):
         if any(map(is_zenith, runs)):
             settings = _with_whole_paths(settings, beside)
             return fit_zenith_files(runs, output, settings, solve, beside, started)
@@ -100,7 +100,7 @@ def fit_runs(
         cameras = [camera for _, camera in found.rows]
         settings = with_lens_errors(settings, cameras)
         problem = problem_of(found, settings, ephemeris, priors, beside)
-        with replacing_folder(output, KIND) as place:
+        with replace_folder(output, KIND) as place:
             fit = fit_orbit(problem, settings.noise.model, settings.gate_probability)
             _write(place, fit, settings, kernels, found, read)
             lenses = write_calibrated(place, fit, cameras)

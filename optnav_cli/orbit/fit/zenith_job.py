@@ -12,7 +12,7 @@ import numpy as np
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import load_ephemeris
 from catalog.errors import DataError, UsageError
-from catalog.files import hash_file, replacing_folder
+from catalog.files import hash_file, replace_folder
 from catalog.terrain.dem.file import resolve_path
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
@@ -106,7 +106,7 @@ def fit_zenith_files(
     ends = float(found.sights.tdb_s[0]), float(found.sights.tdb_s[-1])
     priors = orbit_priors(settings.prior, ephemeris, beside, ends)
     motion = ArcMotion(Forces(ephemeris, settings.forces, beside), settings.noise)
-    with replacing_folder(output, KIND) as place:
+    with replace_folder(output, KIND) as place:
         fit = fit_zenith(
             motion, found.sights, priors, settings.parameter, settings.gate_probability
         )

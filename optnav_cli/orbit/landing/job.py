@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.config import named_config
+from catalog.config import resolve_config
 from catalog.errors import NoSolutionError, NothingToDoError
-from catalog.files import hash_file, replacing_folder
+from catalog.files import hash_file, replace_folder
 from catalog.places import check_apart
-from catalog.progress import Progress, logged_stage
+from catalog.progress import Progress, log_stage
 from optnav_cli.frames.orbit_tables import LANDING, LANDING_IMPULSE, LANDING_PATH
 from optnav_cli.orbit.fit.oem import Oem, write_oem
 from optnav_cli.orbit.landing.descent import Touchdown
@@ -76,10 +76,10 @@ def landing_folder(settings_path: Path, output: Path, progress: Progress) -> Lan
     no nominal landing or, after the folder is written, no trial that arrives.
     """
     started = datetime.now(UTC)
-    path = named_config(settings_path, FOLDER)
+    path = resolve_config(settings_path, FOLDER)
     settings = load_landing_settings(settings_path)
     check_apart(output, [path])
-    with logged_stage(STAGE):
+    with log_stage(STAGE):
         moon = moon_of(settings.landing.body, path)
         try:
             task = landing_task(settings, moon, path.parent)
@@ -88,7 +88,7 @@ def landing_folder(settings_path: Path, output: Path, progress: Progress) -> Lan
         result = fly_trials(task, progress)
         cells = result.cells()
         landed = [row for row in cells if row["status"] == "solved"]
-        with replacing_folder(output, LANDING_KIND) as place:
+        with replace_folder(output, LANDING_KIND) as place:
             LANDING.write(place / LANDING_CSV, cells)
             LANDING_IMPULSE.write(place / IMPULSE_CSV, _impulse_cells(task))
             LANDING_PATH.write(place / PATH_CSV, _path_cells(result))

@@ -6,7 +6,7 @@ from typing import Annotated
 import msgspec
 
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.config import load_toml, named_config
+from catalog.config import load_toml, resolve_config
 from catalog.errors import ConfigError, DataError
 from catalog.terrain.mesh.file import MeshSettings
 from optnav_cli.orbit.qso.settings import BUNDLED_MESH, FOLDER, MoonForces
@@ -116,7 +116,7 @@ class LandingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
 
 def load_landing_settings(path: Path) -> LandingSettings:
     """Settings of a file, or of one that ships ("bundled:NAME"). Raises ConfigError."""
-    settings = load_toml(named_config(path, FOLDER), LandingSettings)
+    settings = load_toml(resolve_config(path, FOLDER), LandingSettings)
     section, departure = settings.landing, settings.departure
     try:
         utc_to_tdb_s(section.time, "time")

@@ -12,11 +12,11 @@ from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import compute_mean_anomaly
 from catalog.bodies.epochs import DAY_S, utc_from_tdb_s
 from catalog.bodies.rotation import body_from_inertial
-from catalog.config import named_config
+from catalog.config import resolve_config
 from catalog.errors import NoSolutionError, NothingToDoError
-from catalog.files import hash_file, replacing_folder
+from catalog.files import hash_file, replace_folder
 from catalog.places import check_apart
-from catalog.progress import Progress, logged_stage
+from catalog.progress import Progress, log_stage
 from optnav_cli.frames.orbit_tables import BODY_STATE, INERTIAL, QSO, QSO_PASSES, QSO_PATHS
 from optnav_cli.orbit.fit.oem import Oem, write_oem
 from optnav_cli.orbit.qso.motion import MoonMotion
@@ -59,15 +59,15 @@ def qso_folder(settings_path: Path, output: Path, progress: Progress) -> tuple[l
     orbit was found.
     """
     started = datetime.now(UTC)
-    path = named_config(settings_path, FOLDER)
+    path = resolve_config(settings_path, FOLDER)
     settings = load_qso_settings(settings_path)
     section = settings.qso
     check_apart(output, [path])
-    with logged_stage(STAGE):
+    with log_stage(STAGE):
         moon = moon_of(section.body, path)
         motion = motion_of_moon(settings.forces, moon, path.parent)
         rows = find_orbits(section, motion, progress)
-        with replacing_folder(output, QSO_KIND) as place:
+        with replace_folder(output, QSO_KIND) as place:
             QSO.write(place / QSO_CSV, (_cells(row, motion) for row in rows))
             QSO_PASSES.write(
                 place / PASSES_CSV,

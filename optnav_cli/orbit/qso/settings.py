@@ -10,7 +10,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import CENTURY_S, compute_mean_anomaly
 from catalog.bodies.epochs import DAY_S, utc_to_tdb_s
-from catalog.config import Turn, load_toml, named_config
+from catalog.config import Turn, load_toml, resolve_config
 from catalog.errors import ConfigError, DataError
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.shape import load_shape
@@ -68,7 +68,7 @@ class QsoSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 
 def load_qso_settings(path: Path) -> QsoSettings:
     """Settings of a file, or of one that ships ("bundled:NAME"). Raises ConfigError."""
-    settings = load_toml(named_config(path, FOLDER), QsoSettings)
+    settings = load_toml(resolve_config(path, FOLDER), QsoSettings)
     starts = len(distances_of(settings.qso)) * max(len(settings.qso.anomaly_deg), 1)
     starts *= len(times_of(settings.qso))
     if not 0 < starts <= MAX_STARTS:

@@ -22,7 +22,7 @@ from optnav_cli.outline.disc.moments import compute_light_moments, is_round, mea
 from optnav_cli.outline.disc.size import estimate_radius, load_disc_sizes
 from optnav_cli.outline.limb.limb_rays import compute_attitude_covariance
 from optnav_cli.outline.neighbour import CameraView
-from optnav_cli.reasons import Reason, ReasonCode, distinct_texts
+from optnav_cli.reasons import Reason, ReasonCode, format_distinct
 
 MAX_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
 SMALL_PX = 10.0  # across: noise and blur say more of such a disc than how its brightness falls off
@@ -51,7 +51,7 @@ def navigate(
     towards = camera.unproject(disc.centre)
     phase = float(np.arccos(np.clip(-(towards @ sun), -1.0, 1.0)))
     if np.degrees(phase) > MAX_PHASE_DEG:
-        seen, most = distinct_texts(float(np.degrees(phase)), MAX_PHASE_DEG, 0)
+        seen, most = format_distinct(float(np.degrees(phase)), MAX_PHASE_DEG, 0)
         raise NoSolutionError(
             f"the phase is {seen} deg: a crescent that thin says little about "
             f"the disc's centre; the limit is {most} deg",
@@ -98,7 +98,7 @@ def navigate(
     across = change * distance
     covariance += across @ noise @ across.T
     share = float(np.sqrt(position @ covariance @ position)) / distance**2
-    evidence = Evidence(outline=OutlineMarks.of_disc(np.einsum("kn,kni->i", weights, pixels)))
+    evidence = Evidence(outline=OutlineMarks.mark_disc(np.einsum("kn,kni->i", weights, pixels)))
     text = f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %"
     fix = make_disc_fix(Method.BRIGHTNESS_CENTRE, view, position, covariance, evidence, text)
     return fix, size.width_sigmas

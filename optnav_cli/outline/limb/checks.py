@@ -9,7 +9,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.segmentation import Blobs, Levels
 from optnav_cli.outline.limb.candidates import BORDER_PX, MIN_BLOB_PIXELS, Candidates
 from optnav_cli.outline.limb.cone import Cone, PixelRays, compute_stretched_rays, find_cone
-from optnav_cli.reasons import ReasonCode, distinct_texts
+from optnav_cli.reasons import ReasonCode, format_distinct
 
 MIN_BODY_PIXELS = 100  # lit; less is a disc for the brightness centre
 MAX_SATURATED = 1.0 / 3.0  # of the lit pixels
@@ -66,7 +66,7 @@ def measure_arc_deg(cone: Cone, rays: FloatArray, step_px: float, rad_per_px: fl
 def check_arc(arc: float, n_points: int) -> None:
     """Raises NoSolutionError for an arc of limb that says nothing about the body's centre."""
     if arc < MIN_ARC_DEG:
-        seen, wanted = distinct_texts(arc, MIN_ARC_DEG, 0)
+        seen, wanted = format_distinct(arc, MIN_ARC_DEG, 0)
         raise NoSolutionError(
             f"only {seen} deg of lit limb in view ({n_points} points); "
             f"at least {wanted} deg are needed to tell a limb from other edges",

@@ -147,12 +147,12 @@ def _find_limb_beside_other_light(
     _, where = _get_edges(areas, camera, space)
     for share in RAISED_SHARES:
         with suppress(NoSolutionError):
-            brighter = areas.raised(share)
+            brighter = areas.raise_threshold(share)
             limb, cone = _locate_limb(brighter, camera, sun_camera, saturation, space, relief)
             # Edges beyond the limb, at the lower threshold, up to 10 % of the limb's points.
             if checks.count_beyond(cone, where, relief) <= 0.1 * len(limb):
                 return limb
-    alone = areas.largest_alone(MIN_BLOB_PIXELS)
+    alone = areas.select_largest(MIN_BLOB_PIXELS)
     if alone is not None:
         with suppress(NoSolutionError):
             return _locate_limb(alone, camera, sun_camera, saturation, space, relief)[0]
@@ -218,7 +218,7 @@ def _locate_limb(
         cone_angle=cone.angle,
         arc_deg=checks.measure_arc_deg(cone, where.rays, 3.0, pixel),
         lit_pixels=int(blobs.area[0]),
-        cut_by_frame=blobs.reaches_border(0),
+        cut_by_frame=blobs.is_at_border(0),
         exponent=edges.exponent,
     )
     return limb_points, cone

@@ -13,7 +13,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.outline.limb.detection import LimbPoints
 from optnav_cli.outline.limb.sizes import LightSizes, load_horizon_sizes
-from optnav_cli.reasons import ReasonCode, distinct_texts
+from optnav_cli.reasons import ReasonCode, format_distinct
 
 ARC_BIN_DEG = 2.0
 MIN_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
@@ -97,7 +97,7 @@ def require_arc(azimuths: FloatArray) -> float:
     """`arc_deg` of the points. Raises NoSolutionError for less than a position wants."""
     arc = measure_arc_deg(azimuths)
     if arc < MIN_ARC_DEG:
-        seen, least = distinct_texts(arc, MIN_ARC_DEG, 0)
+        seen, least = format_distinct(arc, MIN_ARC_DEG, 0)
         raise NoSolutionError(
             f"the lit limb covers {seen} deg of azimuth about the nadir; a position wants "
             f"{least} deg or more",

@@ -92,7 +92,7 @@ def navigate(
     covariance = covariance + compute_attitude_covariance(position, attitude_sigma_rad)
     short = Reason(ReasonCode.SHORT_ARC, f"short arc of limb, {arc:.0f} deg")
     # A fix by an arc below 140 deg carries a remark.
-    remark = _describe_coding(points).followed_by(short if arc < 140.0 else NO_REASON)
+    remark = _describe_coding(points).add_sentence(short if arc < 140.0 else NO_REASON)
     method = Method.HORIZON_SPHERE if relief is None else Method.HORIZON
     return Fix(method, position, covariance, camera_from_body, attitude_sigma_rad, evidence, remark)
 

@@ -26,7 +26,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.frames.picture import Picture
-from optnav_cli.frames.segmentation import Levels, Segmented, without_smear
+from optnav_cli.frames.segmentation import Levels, Segmented, remove_smear
 from optnav_cli.outline.neighbour import CameraView
 from optnav_cli.outline.silhouette.edges import (
     PIECE,
@@ -104,7 +104,7 @@ def navigate(
 
     Raises NoSolutionError where the picture does not show the shape, or not as it should look.
     """
-    clean = without_smear(lit.picture, lit.levels)
+    clean = remove_smear(lit.picture, lit.levels)
     if clean is not None:
         lit = Segmented(clean)
     mesh, levels = _make_mesh(relief), lit.levels

@@ -33,7 +33,7 @@ def catalog_lines(path: Path, whole: bool) -> Iterator[str]:
         near_us = 1e6 * best(lambda: [catalog.nearest(*pair) for pair in pairs], 3) / len(pairs)
         yield f"  nearest    {near_us:9.2f} us  {near_us / NEAREST_US:5.2f} of the limit"
         ids = [int(i) for i in rng.choice(catalog.ids, min(400, len(catalog)), replace=False)]
-        cell_us = 1e6 * best(lambda: [catalog.row_of(i) for i in ids], 3) / len(ids)
+        cell_us = 1e6 * best(lambda: [catalog.find_row(i) for i in ids], 3) / len(ids)
         yield f"  row_of     {cell_us:9.2f} us  {cell_us / CELL_US:5.2f} of the limit"
         load_ms = 1e3 * best(lambda: [catalog.patches(i) for i in ids], 5) / len(ids)
         yield f"  a point's patches {load_ms:.3f} ms  {load_ms / LOAD_MS:5.2f} of the limit, warm"

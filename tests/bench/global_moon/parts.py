@@ -8,7 +8,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from catalog.jobs.workers import available_cores
+from catalog.jobs.workers import count_cores
 from optnav_cli.output.wording import format_account
 from tests.bench.global_moon import builds, hillshade
 from tests.bench.global_moon.clock import Used
@@ -111,7 +111,7 @@ class Bench:
         if self.strip_deg < 360.0:
             what = f", scaled up from {made.account.cells}"
         print(
-            f"build at {ppd} px/deg, {WORKERS} workers of {available_cores()} cores: "
+            f"build at {ppd} px/deg, {WORKERS} workers of {count_cores()} cores: "
             f"{_seconds(made.used)}"
         )
         for line in format_account(made.account):

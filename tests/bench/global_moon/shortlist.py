@@ -26,10 +26,10 @@ RUNS = 3
 PARTS = {
     "heights": "graticule_heights",
     "of it reading": "read_raw",
-    "sums": "tile_sums",
-    "eigenvalues": "window_eigenvalues",
-    "peaks": "strongest_windows",
-    "cells about the poles": "_alone",
+    "sums": "sum_tiles",
+    "eigenvalues": "compute_window_eigenvalues",
+    "peaks": "find_strongest_windows",
+    "cells about the poles": "_search_cell",
 }
 
 
@@ -47,16 +47,16 @@ def shortlist_lines(raster: Path, folder: Path) -> Iterator[str]:
     own, shades = [], []
     with one_core():
         # compiled and tables made: a zone and some cells of a pole
-        shortlist.shortlists(context, [*range(20), context.grid.total // 2])
+        shortlist.make_shortlists(context, [*range(20), context.grid.total // 2])
         for _ in range(RUNS):
             mosaic.close()
             started = time.process_time()
-            found = shortlist.shortlists(context, range(context.grid.total))
+            found = shortlist.make_shortlists(context, range(context.grid.total))
             own.append(time.process_time() - started)
             shades.append(hillshade.one_pass(raster, folder).cpu_s)
         mosaic.close()
         profile = cProfile.Profile()
-        profile.runcall(shortlist.shortlists, context, range(context.grid.total))
+        profile.runcall(shortlist.make_shortlists, context, range(context.grid.total))
     yield (
         f"selection alone at {mosaic.posting_m:.0f} m, {context.grid.total} cells, window "
         f"{config.render.window_nodes} nodes, one core: {min(own):.2f} s, "

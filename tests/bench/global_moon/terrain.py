@@ -26,7 +26,7 @@ from rasterio.windows import Window
 from scipy import ndimage
 
 from catalog.arrays import Float32Array, Int16Array
-from catalog.files import hash_file, put_file, replacing_file
+from catalog.files import hash_file, replace_file, write_work_file
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.terrain.synthetic import fractal
 
@@ -144,7 +144,7 @@ def make(
     west, north = ground.profile["transform"].c, ground.profile["transform"].f
     step = ground.posting_m
     recipe_path(target).unlink(missing_ok=True)  # never an old recipe beside a new raster
-    with replacing_file(target, lambda _: True) as partial:
+    with replace_file(target, lambda _: True) as partial:
         with rasterio.open(
             partial, "w", driver="GTiff", bigtiff="yes", tiled=True, blockxsize=TILE,
             blockysize=TILE, height=rows, width=cols, count=1, dtype="int16", nodata=NODATA,
@@ -158,7 +158,7 @@ def make(
                 )
                 tell(f"{(row + height) / rows:4.0%}")
         recipe = msgspec.structs.replace(recipe, bytes=partial.stat().st_size)
-    put_file(recipe_path(target), msgspec.json.format(msgspec.json.encode(recipe)))
+    write_work_file(recipe_path(target), msgspec.json.format(msgspec.json.encode(recipe)))
     return True
 
 

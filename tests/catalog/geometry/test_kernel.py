@@ -82,14 +82,14 @@ def test_no_folder_at_all_is_a_warning(run: Run, tmp_path: Path) -> None:
 def test_workers_follow_and_do_not_warn_again(run: Run) -> None:
     script = """
 import some_kernel
-from catalog.jobs.workers import workers_of
+from catalog.jobs.workers import make_workers
 
 def work(context, x):
     import os
     return some_kernel.twice(x), os.environ["NUMBA_CACHE_DIR"]
 
 if __name__ == "__main__":
-    workers = workers_of(2)
+    workers = make_workers(2)
     results = dict(workers.run(work, None, [1.0, 2.0]))
     workers.close()
     assert all("optnav-numba" in folder for _, folder in results.values())

@@ -16,7 +16,7 @@ from catalog.control_point import Flag, Patch
 from catalog.errors import DataError, OutputError
 from catalog.geometry.latlon import angular_distance
 from catalog.inspect.compare import Comparison, compare, require_whole
-from catalog.inspect.differences import SHOWN, lines, summary, write_table
+from catalog.inspect.differences import SHOWN, format_lines, summarise, write_table
 from catalog.store.reader import Catalog
 from catalog.store.writer import Written
 
@@ -36,7 +36,7 @@ def against(world: Any, written: Written, tmp_path: Path) -> Callable[..., Compa
 
 
 def text_of(found: Comparison) -> str:
-    return "\n".join(lines(found))
+    return "\n".join(format_lines(found))
 
 
 def changed(world: Any, rows: dict[int, Any]) -> list[Any]:
@@ -55,7 +55,7 @@ def test_time_program_config_and_hashes_are_told_but_are_no_content(
         sources={"first.tif": "sha256 22", "zweite Höhe.tif": "sha256 11"},
     )
     assert found.same
-    assert summary(found) == ""
+    assert summarise(found) == ""
     told = text_of(found)
     assert "not content: software: optnav test -> optnav 9.9" in told
     assert "not content: created_utc: 2026-01-02T03:04:05Z -> 2030-01-01T00:00:00Z" in told
@@ -66,7 +66,7 @@ def test_time_program_config_and_hashes_are_told_but_are_no_content(
 
 def test_a_config_that_is_quite_another_is_cut_short(against: Callable[..., Comparison]) -> None:
     found = against(config="".join(f"key_{n} = {n}\n" for n in range(30)))
-    told = [line for line in lines(found) if line.startswith("not content: ")]
+    told = [line for line in format_lines(found) if line.startswith("not content: ")]
     assert len(told) == SHOWN + 1
     assert told[-1] == f"not content: and {31 - SHOWN} more"  # and [body] name, which is gone
 
@@ -79,7 +79,7 @@ def test_points_in_one_catalog_only_are_named(
     assert found.first.only["id"].tolist() == gone
     assert not len(found.second.only)
     assert not len(found.ids)
-    assert summary(found) == "points only in whole.gpkg: 2"
+    assert summarise(found) == "points only in whole.gpkg: 2"
     assert f"  {gone[0]}: at " in text_of(found)
 
 
@@ -128,7 +128,7 @@ def test_changed_heights_are_measured(
     assert found.height_rms_m == pytest.approx([np.sqrt(np.mean(known**2))])
     assert found.holes.tolist() == [6]
     assert "6 nodes with a height in one only" in text_of(found)
-    assert summary(found) == "other heights in place: 1"
+    assert summarise(found) == "other heights in place: 1"
 
 
 def test_heights_of_moved_points_are_not_compared(
@@ -139,7 +139,7 @@ def test_heights_of_moved_points_are_not_compared(
     other = tuple(Patch(p.posting_m, p.heights_m + 100.0) for p in patches)
     found = against(changed(world, {3: (moved, other)}))
     assert np.isnan(found.height_max_m).all()
-    assert summary(found) == "moved: 1"
+    assert summarise(found) == "moved: 1"
     assert "heights of points" not in text_of(found)
 
 
@@ -212,7 +212,7 @@ def test_settings_that_differ_are_told_and_points_compared_where_ids_mean_the_sa
 ) -> None:
     found = against(posting_m=200.0)
     assert "setting: posting_m: 118.45 -> 200.0" in text_of(found)
-    assert (found.comparable, summary(found)) == (True, "settings: 1")
+    assert (found.comparable, summarise(found)) == (True, "settings: 1")
     finer = make(seed=7, count=12, cell_deg=5.0).write(tmp_path / "finer.gpkg").path
     found = compare(tmp_path / "other.gpkg", finer)
     assert not found.comparable
@@ -229,7 +229,7 @@ def test_catalogs_of_more_and_fewer_levels_are_compared_in_what_both_have(
     assert "setting: levels: 3 -> 2" in text_of(found)
     assert found.patches.all()
     assert found.height_max_m.tolist() == [0.0] * len(world.points)
-    assert not found.field_changed("uniqueness").any()
+    assert not found.mark_changed("uniqueness").any()
 
 
 def edit(path: Path, statement: str, values: tuple[object, ...] = ()) -> None:
@@ -242,6 +242,9 @@ def edit(path: Path, statement: str, values: tuple[object, ...] = ()) -> None:
 def test_the_same_heights_packed_in_another_way_are_the_same(
     written: Written, catalog_copy: Path
 ) -> None:
+    from catalog.store.patches import pack_header
+    from catalog.store.records import compute_checksum
+
     db = sqlite3.connect(catalog_copy)
     key, data = db.execute("SELECT id, data FROM optnav_patches LIMIT 1 OFFSET 4").fetchone()
     row = db.execute(
@@ -251,8 +254,6 @@ def test_the_same_heights_packed_in_another_way_are_the_same(
     ).fetchone()
     db.close()
     from catalog.store.codec import Encoded
-    from catalog.store.patches import patch_header
-    from catalog.store.records import checksum
 
     raw = zstandard.ZstdDecompressor().decompress(data, max_output_size=1 << 20)
     again = zstandard.ZstdCompressor(level=19).compress(raw)
@@ -260,7 +261,7 @@ def test_the_same_heights_packed_in_another_way_are_the_same(
     edit(
         catalog_copy,
         "UPDATE optnav_patches SET data = ?, checksum = ? WHERE id = ?",
-        (again, checksum(patch_header(*row[:3], Encoded(*row[3:], again)), again), key),
+        (again, compute_checksum(pack_header(*row[:3], Encoded(*row[3:], again)), again), key),
     )
     assert compare(written.path, catalog_copy).same
 
@@ -290,8 +291,8 @@ def test_a_digest_that_is_not_that_of_the_content_is_told(
 ) -> None:
     """Patches of two points exchanged, with their checksums made anew."""
     from catalog.store.codec import Encoded
-    from catalog.store.patches import patch_header
-    from catalog.store.records import checksum
+    from catalog.store.patches import pack_header
+    from catalog.store.records import compute_checksum
 
     db = sqlite3.connect(catalog_copy)
     (key, number, size, posting, step, offset, data) = db.execute(
@@ -300,7 +301,7 @@ def test_a_digest_that_is_not_that_of_the_content_is_told(
     ).fetchone()
     db.close()
     moved = Encoded(size, step, offset + 1.0, data)
-    sum_ = checksum(patch_header(number, 0, posting, moved), data)
+    sum_ = compute_checksum(pack_header(number, 0, posting, moved), data)
     edit(
         catalog_copy,
         "UPDATE optnav_patches SET value_offset = ?, checksum = ? WHERE id = ?",

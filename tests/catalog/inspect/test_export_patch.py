@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from catalog.errors import DataError, OutputError
-from catalog.inspect.export import export_patch, patch_solid
+from catalog.inspect.export import export_patch, make_patch_solid
 from catalog.store.reader import Catalog
 
 
@@ -43,7 +43,7 @@ def test_a_patch_is_read_back_closed_and_in_place(opened, whole, ending, tmp_pat
 
 def test_the_top_of_a_solid_is_the_ground(opened, whole) -> None:
     number, patch = whole
-    vertices, _ = patch_solid(opened, number, 0)
+    vertices, _ = make_patch_solid(opened, number, 0)
     point = opened.point(number)
     projection = opened.meta.projection(point)
     ground = vertices[: patch.size**2] @ projection.body_from_local.T + point.xyz_m

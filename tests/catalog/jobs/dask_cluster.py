@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from catalog.jobs import cluster
-from catalog.jobs.cluster import cluster_workers
+from catalog.jobs.cluster import start_cluster_workers
 
 needs_distributed = pytest.mark.skipif(
     find_spec("distributed") is None, reason="needs distributed (optnav[dist])"
@@ -82,7 +82,7 @@ def until(true: Callable[[], bool], seconds: float = 60.0) -> None:
 
 @contextmanager
 def workers_at(address: str):
-    workers = cluster_workers(address)
+    workers = start_cluster_workers(address)
     try:
         yield workers
     finally:

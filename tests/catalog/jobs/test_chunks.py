@@ -11,7 +11,7 @@ import pytest
 
 from catalog.jobs import workspace as jobs
 from catalog.jobs.usage import StageAccount
-from catalog.jobs.workers import SerialWorkers, workers_of
+from catalog.jobs.workers import SerialWorkers, make_workers
 from catalog.jobs.workspace import ChunkResults, Workspace
 from catalog.progress import SilentProgress
 
@@ -43,13 +43,13 @@ def test_every_chunk_is_made_once(results):
     assert (positions, account.done, account.kept) == ([0, 1], 2, 0)
     positions, account = made(results, chunks, SerialWorkers())
     assert (positions, account.done, account.kept) == ([0, 1, 2], 1, 2)
-    assert [thing.cell for thing in results.all_records(3)] == [1, 2, 3, 4, 5]
+    assert [thing.cell for thing in results.read_all(3)] == [1, 2, 3, 4, 5]
 
 
 def test_a_chunk_that_is_missing_is_told(results):
     made(results, [[1], [2]], SerialWorkers())
     results.workspace.path(results.name(0)).unlink()
-    assert results.all_records(2) is None
+    assert results.read_all(2) is None
 
 
 def both(context, chunk):
@@ -59,15 +59,15 @@ def both(context, chunk):
 @pytest.mark.parametrize("count", [1, 2])
 def test_what_a_function_makes_on_its_way_lies_beside_its_own(results, count):
     beside = ChunkResults(results.workspace, "write", "key", Thing)
-    workers, account = workers_of(count), StageAccount("render")
+    workers, account = make_workers(count), StageAccount("render")
     try:
         with SilentProgress().stage("render", 1, "cell") as shown:
             made = results.make(both, 0, [[1, 2], [3]], workers, account, shown, beside)
             assert sorted(made) == [0, 1]
     finally:
         workers.close()
-    assert [thing.cell for thing in results.all_records(2)] == [1, 2, 3]
-    assert [thing.cell for thing in beside.all_records(2)] == [-1, -2, -3]
+    assert [thing.cell for thing in results.read_all(2)] == [1, 2, 3]
+    assert [thing.cell for thing in beside.read_all(2)] == [-1, -2, -3]
 
 
 def test_a_kill_between_the_files_of_a_chunk_costs_only_the_second(results, monkeypatch):
@@ -89,11 +89,11 @@ def test_a_kill_between_the_files_of_a_chunk_costs_only_the_second(results, monk
         run()
     monkeypatch.undo()
     assert run() == (0, 1)
-    assert beside.all_records(1) is None  # left to the stage that wants them
+    assert beside.read_all(1) is None  # left to the stage that wants them
 
 
 def test_worker_processes_hand_over_the_same(results):
-    workers = workers_of(2)
+    workers = make_workers(2)
     try:
         positions, account = made(results, [[cell] for cell in range(6)], workers)
     finally:
@@ -101,7 +101,7 @@ def test_worker_processes_hand_over_the_same(results):
     assert sorted(positions) == list(range(6))
     assert account.done == 6
     assert account.workers_cpu_s > 0.0
-    assert [thing.cell for thing in results.all_records(6)] == list(range(6))
+    assert [thing.cell for thing in results.read_all(6)] == list(range(6))
 
 
 def test_an_answer_through_a_pipe_is_too_short_to_be_torn_by_a_kill(results, monkeypatch):
@@ -110,9 +110,9 @@ def test_an_answer_through_a_pipe_is_too_short_to_be_torn_by_a_kill(results, mon
         jobs.multiprocessing, "parent_process", lambda: SimpleNamespace(pid=os.getpid())
     )
     here = (socket.gethostname(), os.getpid())
-    answer = jobs._made(things, results.workspace, here, 10**6, ([results.name(0)], [7]))
+    answer = jobs._make_results(things, results.workspace, here, 10**6, ([results.name(0)], [7]))
     assert len(pickle.dumps(answer)) < select.PIPE_BUF / 2
-    assert [thing.cell for thing in results.records(0)] == [7]
+    assert [thing.cell for thing in results.read(0)] == [7]
 
 
 def test_a_worker_elsewhere_answers_with_the_bytes_and_writes_nothing(results, monkeypatch):
@@ -120,6 +120,8 @@ def test_a_worker_elsewhere_answers_with_the_bytes_and_writes_nothing(results, m
         jobs.multiprocessing, "parent_process", lambda: SimpleNamespace(pid=os.getpid())
     )
     elsewhere = ("another-machine", os.getpid())
-    data, _ = jobs._made(things, results.workspace, elsewhere, 100, ([results.name(0)], [7]))
+    data, _ = jobs._make_results(
+        things, results.workspace, elsewhere, 100, ([results.name(0)], [7])
+    )
     assert len(data) == 1
-    assert results.records(0) is None
+    assert results.read(0) is None

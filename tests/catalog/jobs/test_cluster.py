@@ -6,8 +6,8 @@ import pytest
 
 from catalog.errors import DataError, WorkersError
 from catalog.jobs import cluster
-from catalog.jobs.cluster import cluster_workers
-from catalog.jobs.cluster_node import needs_of
+from catalog.jobs.cluster import start_cluster_workers
+from catalog.jobs.cluster_node import collect_needs
 from tests.catalog.jobs.dask_cluster import cluster_of, needs_distributed, until, workers_at
 
 
@@ -55,9 +55,11 @@ def test_threads_of_one_worker_take_turns(own, work, tmp_path):
 
 @needs_distributed
 def test_a_worker_that_is_not_fit_is_named_at_the_start(two, monkeypatch):
-    monkeypatch.setattr(cluster, "needs_of", lambda files: {**needs_of(files), "code": "0" * 64})
+    monkeypatch.setattr(
+        cluster, "collect_needs", lambda files: {**collect_needs(files), "code": "0" * 64}
+    )
     with pytest.raises(WorkersError, match=r"worker tcp://127.*: runs other code.*\(and 1 more of"):
-        cluster_workers(two.address)
+        start_cluster_workers(two.address)
 
 
 @needs_distributed
@@ -66,22 +68,22 @@ def test_a_file_that_workers_cannot_read_is_named_at_the_start(two, tmp_path, mo
     path.write_bytes(b"here alone")
 
     def needs_of_what_goes(files):
-        needs = needs_of(files)
+        needs = collect_needs(files)
         path.unlink()
         return needs
 
-    monkeypatch.setattr(cluster, "needs_of", needs_of_what_goes)
+    monkeypatch.setattr(cluster, "collect_needs", needs_of_what_goes)
     told = rf"worker tcp://127.*: {path}: cannot be read there \(No such file or directory\)"
     with pytest.raises(WorkersError, match=told):
-        cluster_workers(two.address, [path])
+        start_cluster_workers(two.address, [path])
 
 
 @needs_distributed
 def test_a_worker_that_comes_later_is_asked_too(two, work, monkeypatch):
     with workers_at(two.address) as workers:
-        bad = {**needs_of([]), "code": "0" * 64}
-        monkeypatch.setattr(cluster, "needs_of", lambda files: bad)
-        monkeypatch.setattr(workers._pool, "_ask_all", lambda: None)  # it was not there then
+        bad = {**collect_needs([]), "code": "0" * 64}
+        monkeypatch.setattr(cluster, "collect_needs", lambda files: bad)
+        monkeypatch.setattr(workers._pool, "_check_workers", lambda: None)  # it was not there then
         with pytest.raises(WorkersError, match=r"worker tcp://127.*: runs other code"):
             list(workers.run(work.double, {"factor": 1}, [[5]]))
 

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from catalog.jobs.workers import uninterrupted
+from catalog.jobs.workers import mask_signals
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -14,7 +14,7 @@ def test_a_signal_waits_for_the_end_of_the_block(number):
         raise KeyboardInterrupt
 
     def block():
-        with uninterrupted():
+        with mask_signals():
             signal.raise_signal(number)
             done.append("whole")
 
@@ -32,7 +32,7 @@ def test_a_signal_waits_for_the_end_of_the_block(number):
 def test_an_ignored_signal_stays_ignored():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with uninterrupted():
+        with mask_signals():
             signal.raise_signal(signal.SIGINT)
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     finally:
@@ -43,7 +43,7 @@ def test_other_threads_leave_signals_alone():
     seen = []
 
     def work():
-        with uninterrupted():
+        with mask_signals():
             seen.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=work)
@@ -54,7 +54,7 @@ def test_other_threads_leave_signals_alone():
 
 def test_an_error_in_the_block_does_not_swallow_the_signal():
     def block():
-        with uninterrupted():
+        with mask_signals():
             signal.raise_signal(signal.SIGINT)
             raise ValueError("ours")
 

@@ -11,7 +11,7 @@ import pytest
 
 from catalog.errors import UsageError, WorkersError
 from catalog.jobs import cluster
-from catalog.jobs.cluster import check_address, cluster_workers
+from catalog.jobs.cluster import check_address, start_cluster_workers
 from tests.catalog.jobs.dask_cluster import needs_distributed
 
 
@@ -40,14 +40,14 @@ def test_an_address_is_taken(address):
 def test_without_distributed_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match=r"pip install 'optnav\[dist\]'"):
-        cluster_workers("tcp://localhost:8786")
+        start_cluster_workers("tcp://localhost:8786")
 
 
 @needs_distributed
 def test_a_scheduler_that_is_not_there_is_told_at_once():
     started = time.monotonic()
     with pytest.raises(WorkersError, match=r"tcp://127.0.0.1:\d+: .*\(connection refused\)"):
-        cluster_workers(f"tcp://127.0.0.1:{free_port()}")
+        start_cluster_workers(f"tcp://127.0.0.1:{free_port()}")
     assert time.monotonic() - started < 3.0
 
 
@@ -74,7 +74,7 @@ def test_what_answers_but_is_no_scheduler_is_told_in_seconds(monkeypatch, answer
         stop = threading.Event()
         served = threads.submit(serve)
         with pytest.raises(WorkersError, match=reason):
-            cluster_workers(f"tcp://127.0.0.1:{server.getsockname()[1]}")
+            start_cluster_workers(f"tcp://127.0.0.1:{server.getsockname()[1]}")
         stop.set()
         served.result(timeout=10.0)
 
@@ -83,4 +83,4 @@ def test_what_answers_but_is_no_scheduler_is_told_in_seconds(monkeypatch, answer
 def test_a_scheduler_without_workers_is_told_after_a_short_wait(own, monkeypatch):
     monkeypatch.setattr(cluster, "ARRIVE_S", 0.5)
     with pytest.raises(WorkersError, match=f"no workers.*dask worker {own.address}"):
-        cluster_workers(own.address)
+        start_cluster_workers(own.address)

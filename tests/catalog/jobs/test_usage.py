@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from catalog.control_point import Flag
-from catalog.jobs.usage import Account, Peak, StageAccount, Usage, metered
+from catalog.jobs.usage import Account, Peak, StageAccount, Usage, measure_usage
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts a process's bytes")
 
@@ -26,7 +26,7 @@ def usage(process="other:1", cpu_s=1.0, peak=100, own=True, moved=10):
 
 
 def test_processor_time_is_that_of_the_work_not_of_waiting():
-    _, used = metered(lambda: (burn(0.1), time.sleep(0.2)))
+    _, used = measure_usage(lambda: (burn(0.1), time.sleep(0.2)))
     assert 0.09 < used.cpu_s < 0.2
 
 
@@ -38,17 +38,17 @@ def test_bytes_read_and_written_are_counted(tmp_path):
         (tmp_path / "file").write_bytes(data)
         return len((tmp_path / "file").read_bytes())
 
-    length, used = metered(work)
+    length, used = measure_usage(work)
     assert length == 3_000_000
     assert 3_000_000 <= used.read_bytes < 3_100_000
     assert 3_000_000 <= used.written_bytes < 3_100_000
 
 
 MARKS = """
-from catalog.jobs.usage import metered
-first = metered(lambda: len(bytearray(b"x") * 200_000_000))[1].peak
-second = metered(lambda: len(bytearray(b"x") * 1_000_000))[1].peak
-third = metered(lambda: len(bytearray(b"x") * 300_000_000))[1].peak
+from catalog.jobs.usage import measure_usage
+first = measure_usage(lambda: len(bytearray(b"x") * 200_000_000))[1].peak
+second = measure_usage(lambda: len(bytearray(b"x") * 1_000_000))[1].peak
+third = measure_usage(lambda: len(bytearray(b"x") * 300_000_000))[1].peak
 print(first.bytes, first.is_own, second.bytes, second.is_own, third.bytes, third.is_own)
 """
 
@@ -73,7 +73,9 @@ def test_threads_of_a_process_together_report_what_it_used():
         both.wait()
         burn(0.1)
 
-    threads = [threading.Thread(target=lambda: reports.append(metered(work)[1])) for _ in "ab"]
+    threads = [
+        threading.Thread(target=lambda: reports.append(measure_usage(work)[1])) for _ in "ab"
+    ]
     before = time.process_time()
     for thread in threads:
         thread.start()
@@ -85,9 +87,9 @@ def test_threads_of_a_process_together_report_what_it_used():
 
 def test_work_that_fails_does_not_spoil_the_next_measurement():
     with pytest.raises(ZeroDivisionError):
-        metered(lambda: 1 / 0)
+        measure_usage(lambda: 1 / 0)
     burn(0.1)
-    assert metered(lambda: burn(0.05))[1].cpu_s < 0.1
+    assert measure_usage(lambda: burn(0.05))[1].cpu_s < 0.1
 
 
 def test_a_stage_adds_up_its_workers_and_knows_the_greatest():
@@ -103,8 +105,8 @@ def test_a_stage_adds_up_its_workers_and_knows_the_greatest():
 
 def test_work_done_in_the_own_process_counts_once():
     stage = StageAccount("render")
-    with stage.measured():
-        _, used = metered(lambda: burn(0.1))
+    with stage.measure_block():
+        _, used = measure_usage(lambda: burn(0.1))
         stage.add(used)
     assert 0.09 < stage.cpu_s < 0.19
     assert stage.workers_cpu_s == 0.0

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from catalog.errors import DataError, WorkersError
-from catalog.jobs.workers import SerialWorkers, available_cores, workers_of
+from catalog.jobs.workers import SerialWorkers, count_cores, make_workers
 
 WORK = """
 import os
@@ -54,20 +54,20 @@ def work(tmp_path, monkeypatch):
 
 @pytest.fixture
 def two():
-    workers = workers_of(2)
+    workers = make_workers(2)
     yield workers
     workers.close()
 
 
 def test_one_worker_is_this_process(work):
-    workers = workers_of(1)
+    workers = make_workers(1)
     assert isinstance(workers, SerialWorkers)
     assert [r[0] for _, r in workers.run(work.process, {}, [1, 2])] == [os.getpid()] * 2
 
 
 def test_no_number_means_all_cores():
-    workers = workers_of(None)
-    assert workers.count == available_cores()
+    workers = make_workers(None)
+    assert workers.count == count_cores()
     workers.close()
 
 
@@ -102,7 +102,7 @@ def test_a_worker_that_dies_is_replaced_and_nothing_is_lost(work, two, tmp_path)
 
 def test_a_worker_that_does_not_answer_is_not_waited_for(work, monkeypatch):
     monkeypatch.setattr("catalog.jobs.workers.GOODBYE_S", 1.0)
-    two, pids = workers_of(2), set()
+    two, pids = make_workers(2), set()
     while len(pids) < 2:
         pids |= {pid for _, (pid, _) in two.run(work.process, {}, range(20))}
     os.kill(min(pids), signal.SIGSTOP)
@@ -124,12 +124,12 @@ import sys, time
 from contextlib import closing
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
-from catalog.jobs.workers import workers_of
+from catalog.jobs.workers import make_workers
 def main():
     import slow_work
     print("go", flush=True)
     # an interrupt while a result is printed must end the run, too, not leave it to the traceback
-    with closing(workers_of(2).run(slow_work.sleep, {}, range(10))) as results:
+    with closing(make_workers(2).run(slow_work.sleep, {}, range(10))) as results:
         for position, pid in results:
             print(pid, flush=True)
 if __name__ == "__main__":

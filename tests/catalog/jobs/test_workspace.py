@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from catalog.errors import OutputError
-from catalog.jobs.workspace import Workspace, content_hash, encode_records, stage_key
+from catalog.jobs.workspace import Workspace, compute_stage_key, encode_records, hash_contents
 from catalog.progress import SilentProgress
 
 
@@ -72,7 +72,7 @@ def test_what_a_killed_process_was_writing_goes_when_the_next_one_begins(tmp_pat
     workspace = Workspace(tmp_path)
     workspace.put("s/whole.bin", b"all of it")
     (tmp_path / "s" / "torn.bin.4711.partial").write_bytes(b"half of")
-    with workspace.locked():
+    with workspace.lock():
         assert [path.name for path in (tmp_path / "s").iterdir()] == ["whole.bin"]
 
 
@@ -81,9 +81,9 @@ def test_damaged_results_count_as_missing(tmp_path):
     data = encode_records([Thing(5)])
     workspace.put("s/good.bin", data)
     workspace.put("s/bad.bin", data[:-1])
-    assert [r.cell for r in workspace.records("s/good.bin", Thing)] == [5]
-    assert workspace.records("s/bad.bin", Thing) is None
-    assert workspace.records("s/none.bin", Thing) is None
+    assert [r.cell for r in workspace.read_records("s/good.bin", Thing)] == [5]
+    assert workspace.read_records("s/bad.bin", Thing) is None
+    assert workspace.read_records("s/none.bin", Thing) is None
     assert not workspace.path("s/bad.bin").exists()
 
 
@@ -91,7 +91,7 @@ HOLD = """
 import sys, time
 from pathlib import Path
 from catalog.jobs.workspace import Workspace
-with Workspace(Path(sys.argv[1])).locked():
+with Workspace(Path(sys.argv[1])).lock():
     print("held", flush=True)
     time.sleep(60)
 """
@@ -106,11 +106,11 @@ def test_two_processes_do_not_share_a_workspace_and_a_killed_one_leaves_no_lock(
         assert holder.stdout.readline() == "held\n"
         workspace = Workspace(tmp_path)
         busy = pytest.raises(OutputError, match=f"process {holder.pid} works in it")
-        with busy, workspace.locked():
+        with busy, workspace.lock():
             pass
         holder.kill()
         holder.wait()
-        with workspace.locked():
+        with workspace.lock():
             pass
     finally:
         holder.kill()
@@ -118,8 +118,13 @@ def test_two_processes_do_not_share_a_workspace_and_a_killed_one_leaves_no_lock(
 
 
 def test_keys_follow_all_settings_and_nothing_else():
-    assert stage_key("a", {"x": 1, "y": 2}) == stage_key("a", {"y": 2, "x": 1})
-    keys = {stage_key("a", 1), stage_key("a", 2), stage_key("b", 1), stage_key("a", "1")}
+    assert compute_stage_key("a", {"x": 1, "y": 2}) == compute_stage_key("a", {"y": 2, "x": 1})
+    keys = {
+        compute_stage_key("a", 1),
+        compute_stage_key("a", 2),
+        compute_stage_key("b", 1),
+        compute_stage_key("a", "1"),
+    }
     assert len(keys) == 4
 
 
@@ -137,12 +142,12 @@ def test_damaged_checksums_are_computed_again(tmp_path, left):
     path = tmp_path / "dem.tif"
     path.write_bytes(b"heights")
     workspace = Workspace(tmp_path / "work")
-    whole = content_hash([path], workspace, SilentProgress())
+    whole = hash_contents([path], workspace, SilentProgress())
     (file,) = workspace.folder.glob("*hashes*")
     file.write_bytes(
         left.replace(b"a", os.fsencode(next(iter(msgspec.json.decode(file.read_bytes())))))
     )
-    assert content_hash([path], workspace, SilentProgress()) == whole
+    assert hash_contents([path], workspace, SilentProgress()) == whole
 
 
 def test_a_damaged_mark_is_another_version(tmp_path):

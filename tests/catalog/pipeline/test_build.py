@@ -10,7 +10,7 @@ import pytest
 from catalog.config import resource
 from catalog.errors import ConfigError, DataError, NothingToDoError, OutputError, UsageError
 from catalog.inspect.summary import catalog_document, describe
-from catalog.jobs.workspace import code_key
+from catalog.jobs.workspace import hash_package
 from catalog.pipeline.build import STAGES, run
 from catalog.store.manifest import rows_from_meta
 from catalog.store.reader import Catalog
@@ -248,8 +248,8 @@ def test_progress_of_every_stage_reaches_its_total(config, tmp_path):
 
 
 def test_keys_change_with_the_code_that_makes_the_results():
-    assert code_key.__wrapped__() == code_key.__wrapped__()
-    assert len(code_key()) == 64
+    assert hash_package.__wrapped__() == hash_package.__wrapped__()
+    assert len(hash_package()) == 64
 
 
 def test_a_body_file_is_all_that_another_body_needs(config, tmp_path):
@@ -293,8 +293,8 @@ def test_stated_errors_stand_in_the_catalog_and_are_no_content(config, tmp_path)
         }
         # the model that counts most at a point states its error
         both = "tycho_gld100_256ppd.tif + moon_gld100_4ppd.tif"
-        assert meta.error_of(both).resolution_km == 1.6
-        assert meta.error_of("other.tif + moon_gld100_4ppd.tif") is None
+        assert meta.find_error(both).resolution_km == 1.6
+        assert meta.find_error("other.tif + moon_gld100_4ppd.tif") is None
         document = catalog_document(catalog)
     found = document["terrain_errors"]["tycho_gld100_256ppd.tif"]
     assert found["template_sigma_m"] == sorted(found["template_sigma_m"], reverse=True)

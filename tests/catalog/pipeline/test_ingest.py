@@ -10,7 +10,7 @@ from catalog.jobs.usage import StageAccount
 from catalog.jobs.workspace import Workspace
 from catalog.pipeline.config import BodySettings, BuildConfig, DemSection
 from catalog.pipeline.context import IngestRun
-from catalog.pipeline.ingest import BLOCK_CELLS, chunks_of, covered_cells, ingest
+from catalog.pipeline.ingest import BLOCK_CELLS, cut_chunks, find_covered_cells, ingest
 from catalog.progress import SilentProgress
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
@@ -23,7 +23,7 @@ def mosaic_of(moon, folder, path) -> Mosaic:
 
 def test_a_global_model_covers_every_cell(tmp_path, dems, moon):
     path = dems.write(tmp_path / "globe.tif", dems.smooth_grid(180).astype(np.float32))
-    cells = covered_cells(mosaic_of(moon, tmp_path, path), CellGrid(1.0), None)
+    cells = find_covered_cells(mosaic_of(moon, tmp_path, path), CellGrid(1.0), None)
     np.testing.assert_array_equal(cells, np.arange(41_252))
 
 
@@ -31,7 +31,7 @@ def test_a_region_covers_the_cells_it_touches(tmp_path, dems, moon):
     values, affine = dems.rough_region(300)  # 6° about 10 N 20 E
     path = dems.write(tmp_path / "r.tif", values, affine=affine)
     grid = CellGrid(1.0)
-    cells = covered_cells(mosaic_of(moon, tmp_path, path), grid, None)
+    cells = find_covered_cells(mosaic_of(moon, tmp_path, path), grid, None)
     middles = np.array([grid.centre_deg(int(cell)) for cell in cells])
     assert 36 <= cells.size <= 64
     assert np.abs(middles - [10.0, 20.0]).max() < 3.6
@@ -47,7 +47,7 @@ def test_a_small_region_of_small_cells_asks_its_latitudes_only(tmp_path, dems, m
     mosaic, asked = mosaic_of(moon, tmp_path, path), []
     covers = mosaic.covers
     monkeypatch.setattr(mosaic, "covers", lambda *a: (asked.append(len(a[0])), covers(*a))[1])
-    cells = covered_cells(mosaic, CellGrid(0.2), None)
+    cells = find_covered_cells(mosaic, CellGrid(0.2), None)
     assert cells.size > 800
     assert sum(asked) < 60_000
 
@@ -57,14 +57,14 @@ def test_a_hole_in_the_middle_of_a_cell_does_not_drop_it(tmp_path, dems, moon):
     values[140:160, 140:160] = np.nan
     path = dems.write(tmp_path / "r.tif", values, affine=affine)
     grid = CellGrid(1.0)
-    cells = covered_cells(mosaic_of(moon, tmp_path, path), grid, None)
+    cells = find_covered_cells(mosaic_of(moon, tmp_path, path), grid, None)
     assert int(grid.find_cells(10.0, 20.0)) in cells
 
 
 def test_a_bbox_crosses_180_degrees_where_west_is_greater(tmp_path, dems, moon):
     path = dems.write(tmp_path / "globe.tif", dems.smooth_grid(180).astype(np.float32))
     grid = CellGrid(5.0)
-    cells = covered_cells(mosaic_of(moon, tmp_path, path), grid, (170.0, -10.0, -170.0, 10.0))
+    cells = find_covered_cells(mosaic_of(moon, tmp_path, path), grid, (170.0, -10.0, -170.0, 10.0))
     lon = np.array([grid.centre_deg(int(cell))[1] for cell in cells])
     assert cells.size == 16
     assert (np.abs(lon) > 170.0).all()
@@ -76,19 +76,21 @@ def test_a_bbox_crosses_180_degrees_where_west_is_greater(tmp_path, dems, moon):
 def test_a_bbox_that_is_none_is_refused(tmp_path, dems, moon, bbox):
     path = dems.write(tmp_path / "globe.tif", dems.smooth_grid(180).astype(np.float32))
     with pytest.raises(UsageError, match="W,S,E,N"):
-        covered_cells(mosaic_of(moon, tmp_path, path), CellGrid(5.0), bbox)
+        find_covered_cells(mosaic_of(moon, tmp_path, path), CellGrid(5.0), bbox)
 
 
 def test_a_bbox_outside_the_model_names_what_the_model_covers(tmp_path, dems, moon):
     values, affine = dems.rough_region(100)
     path = dems.write(tmp_path / "r.tif", values, affine=affine)
     with pytest.raises(DataError, match=r"--bbox 100,0,120,20 .*r.tif covers 19,9,21,11"):
-        covered_cells(mosaic_of(moon, tmp_path, path), CellGrid(1.0), (100.0, 0.0, 120.0, 20.0))
+        find_covered_cells(
+            mosaic_of(moon, tmp_path, path), CellGrid(1.0), (100.0, 0.0, 120.0, 20.0)
+        )
 
 
 def test_chunks_hold_every_cell_once_and_neighbours_together():
     grid = CellGrid(1.0)
-    chunks = chunks_of(grid, np.arange(grid.total))
+    chunks = cut_chunks(grid, np.arange(grid.total))
     assert sorted(cell for chunk in chunks for cell in chunk) == list(range(grid.total))
     assert max(map(len, chunks)) == 256
     for chunk in chunks[50:150:10]:  # away from the poles a chunk is a compact block
@@ -99,7 +101,7 @@ def test_chunks_hold_every_cell_once_and_neighbours_together():
 
 
 def test_few_cells_make_many_small_chunks():
-    chunks = chunks_of(CellGrid(1.0), np.arange(20_000, 20_080))
+    chunks = cut_chunks(CellGrid(1.0), np.arange(20_000, 20_080))
     assert len(chunks) >= 26
     assert max(map(len, chunks)) == 3
 
@@ -159,7 +161,7 @@ def test_a_polar_tile_covers_the_pole(tmp_path, dems, moon):
         affine=Affine(2000.0, 0.0, -200e3, 0.0, -2000.0, 200e3),
     )
     grid = CellGrid(2.0)
-    cells = covered_cells(mosaic_of(moon, tmp_path, path), grid, None)
+    cells = find_covered_cells(mosaic_of(moon, tmp_path, path), grid, None)
     assert 0 in cells  # the first cells lie about the south pole
     assert max(grid.bounds_deg(int(cell))[1] for cell in cells) <= -80.0
 

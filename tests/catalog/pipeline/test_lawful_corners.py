@@ -6,9 +6,9 @@ import pytest
 from catalog.correlation.surf64 import compute_self_similarity_surface
 from catalog.errors import ConfigError, DataError, NothingToDoError
 from catalog.pipeline.build import run
-from catalog.pipeline.check import described_side
+from catalog.pipeline.check import compute_described_side
 from catalog.pipeline.config import SIZES
-from catalog.selection.localisation import uniqueness_margin
+from catalog.selection.localisation import compute_uniqueness_margin
 
 CONFIG = '[body]\nname = "moon"\n[[dem]]\npath = "dem.tif"\n'
 SMALLEST = "[pyramid]\nsize = 32\nlevels = 1\n"
@@ -59,11 +59,11 @@ CORNERS = {
 
 @pytest.mark.parametrize("size", range(SIZES[0], SIZES[1] + 1, 2))
 def test_a_square_can_be_described_in_patches_of_every_size(size):
-    side = described_side(size)
+    side = compute_described_side(size)
     brightness = np.random.default_rng(size).random((size, size)).astype(np.float32)
     surface = compute_self_similarity_surface(brightness, side)
     assert surface.shape == (size - side + 1,) * 2
-    assert 0.0 <= uniqueness_margin(brightness, side, 8.0) <= 1.0
+    assert 0.0 <= compute_uniqueness_margin(brightness, side, 8.0) <= 1.0
 
 
 def builds_or_says_why_not(folder, dems, settings):

@@ -20,7 +20,7 @@ from catalog.pipeline.config import (
 )
 from catalog.pipeline.context import IngestRun
 from catalog.pipeline.ingest import ingest
-from catalog.pipeline.relief import settle_relief, stored_relief
+from catalog.pipeline.relief import read_stored_relief, settle_relief
 from catalog.progress import SilentProgress
 from catalog.store.reader import Catalog
 from catalog.store.relief import prepare_relief
@@ -58,7 +58,7 @@ def settled(tmp_path, moon):
         of_all = IngestRun(workspace, config, place, moon, 1, SilentProgress(), account)
         mosaic, dems, *_ = ingest(replace(of_all, account=StageAccount("ingest")))
         record = settle_relief(of_all, mosaic, dems)
-        prepared = stored_relief(workspace, record) if record is not None else None
+        prepared = read_stored_relief(workspace, record) if record is not None else None
         return record, prepared, account
 
     return run_it

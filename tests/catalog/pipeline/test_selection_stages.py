@@ -105,7 +105,7 @@ def test_errors_predicted_from_one_ground_are_those_of_each_place(context, rende
     settings = context.config.render
     ratios = []
     for record in rendered[:6]:
-        suns = cell_map.suns_of(settings, context.grid.centre_deg(record.cell)[0])
+        suns = cell_map.sample_suns(settings, context.grid.centre_deg(record.cell)[0])
         for candidate in record.candidates:
             projection = context.projection(candidate.lat_deg, candidate.lon_deg)
             for level, posting in enumerate(context.postings_m[: settings.levels]):
@@ -114,7 +114,7 @@ def test_errors_predicted_from_one_ground_are_those_of_each_place(context, rende
                     if sun[2] < np.sin(np.radians(20.0)):
                         continue
                     picture = render_map(window, posting, sun, radius_m=context.body.radius_m)
-                    picture = cell_map.blurred(picture)
+                    picture = cell_map.blur_grid(picture)
                     alone = predict_match(picture, settings.snr).score
                     ratios.append(candidate.error_px[level, k] / alone)
     off = np.abs(np.log(ratios))
@@ -218,9 +218,9 @@ def test_trials_that_are_not_run_would_not_have_changed_the_choice(mosaic, selec
     hard = context_of(mosaic, check=strict)
     least, enough = 5, 6  # 0.6 and 0.75 of 8
     run = []
-    of_trials = check.outcomes_at
+    of_trials = check.run_trials
     monkeypatch.setattr(
-        check, "outcomes_at", lambda *a, **k: (run.append(1) or o for o in of_trials(*a, **k))
+        check, "run_trials", lambda *a, **k: (run.append(1) or o for o in of_trials(*a, **k))
     )
     found = check.check_chunk(hard, selected)
     early, run[:] = len(run), []
@@ -315,8 +315,8 @@ def test_a_cell_without_ground_is_left_out(context):
 
 def test_near_a_pole_suns_come_from_all_around():
     settings = RenderSettings()
-    assert len(cell_map.suns_of(settings, 45.0)) == 4
-    polar = cell_map.suns_of(settings, 89.0)
+    assert len(cell_map.sample_suns(settings, 45.0)) == 4
+    polar = cell_map.sample_suns(settings, 89.0)
     assert len(polar) == 16
     azimuth = np.degrees(np.arctan2(polar[:, 0], polar[:, 1]))
     assert np.ptp(azimuth) > 250.0

@@ -17,12 +17,12 @@ from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import SerialWorkers
 from catalog.jobs.workspace import ChunkResults, Workspace
 from catalog.pipeline.config import WriteSettings
-from catalog.pipeline.ingest import chunks_of
-from catalog.pipeline.write import CatalogExtras, point_chunks, write
+from catalog.pipeline.ingest import cut_chunks
+from catalog.pipeline.write import CatalogExtras, group_points, write
 from catalog.progress import SilentProgress
 from catalog.store.patches import PreparedPoint
 from catalog.store.reader import Catalog
-from catalog.store.records import rounded_point
+from catalog.store.records import round_point
 
 CELLS = range(100, 263)  # of several bands
 
@@ -70,7 +70,7 @@ def results_beside(path: Path) -> ChunkResults:
 
 
 def pieces_of(given: Sequence[ControlPoint], grid: CellGrid) -> list[list[ControlPoint]]:
-    return point_chunks(chunks_of(grid, np.array([point.id for point in given])), given)
+    return group_points(cut_chunks(grid, np.array([point.id for point in given])), given)
 
 
 def written_with(
@@ -106,7 +106,7 @@ def test_patches_are_cut_about_the_place_that_the_catalog_states(tmp_path: Path)
     context = PlaneWaveContext()
     given = points(context.grid)
     written_with(SerialWorkers(), tmp_path / "a.gpkg", given, context)
-    stated = [(rounded_point(p).lat_deg, rounded_point(p).lon_deg) for p in given]
+    stated = [(round_point(p).lat_deg, round_point(p).lon_deg) for p in given]
     assert sorted(context.asked) == sorted(stated)
     assert context.asked[0][0] != given[0].lat_deg
 

@@ -9,11 +9,11 @@ from catalog.config import resource
 from catalog.correlation.filters import HIGH_PASS_NODES, filter_high_pass
 from catalog.rendering.map_view import render_map
 from catalog.selection.localisation import (
-    azimuth_products,
-    hessian_eigenvalue,
-    hessian_eigenvalue_map,
+    compute_azimuth_products,
+    compute_hessian_eigenvalue,
+    compute_hessian_eigenvalue_map,
+    compute_sun_products,
     predict_match,
-    sun_products,
 )
 
 POSTING_M = 118.45
@@ -51,10 +51,10 @@ def test_the_map_equals_eigenvalues_of_tensors_written_out(tycho):
         gy = xy * np.sin(azimuth) + yy * np.cos(azimuth)
         tensor = [[(gx * gx).sum(), (gx * gy).sum()], [(gx * gy).sum(), (gy * gy).sum()]]
         smallest.append(np.linalg.eigvalsh(tensor)[0])
-    found = hessian_eigenvalue_map(tycho, POSTING_M, window)
+    found = compute_hessian_eigenvalue_map(tycho, POSTING_M, window)
     assert found.shape == (256 - window + 1, 256 - window + 1)
     assert found[row, col] == pytest.approx(min(smallest), rel=1e-5)
-    coarse = hessian_eigenvalue_map(tycho, POSTING_M, window, step=4)
+    coarse = compute_hessian_eigenvalue_map(tycho, POSTING_M, window, step=4)
     np.testing.assert_allclose(coarse, found[::4, ::4], rtol=1e-5)
 
 
@@ -66,7 +66,9 @@ def test_one_sun_agrees_with_opencv_on_a_linear_picture(tycho):
     picture = (-(east * direction[0] + north * direction[1]) / direction[2]).astype(np.float32)
     window = 41
     theirs = cv2.cornerMinEigenVal(picture, window, ksize=3)
-    found = hessian_eigenvalue_map(tycho, POSTING_M, window, sun_products(direction[None]))
+    found = compute_hessian_eigenvalue_map(
+        tycho, POSTING_M, window, compute_sun_products(direction[None])
+    )
     ours = found[40:-40, 40:-40].ravel()
     theirs = theirs[20:-20, 20:-20][40:-40, 40:-40].ravel()
     # other difference stencils, so not the same numbers, but the same ground is good
@@ -75,25 +77,25 @@ def test_one_sun_agrees_with_opencv_on_a_linear_picture(tycho):
 
 def test_the_score_does_not_depend_on_how_the_ground_is_turned(tycho):
     turned = np.rot90(tycho)
-    a = hessian_eigenvalue_map(tycho, POSTING_M, 64)
-    b = hessian_eigenvalue_map(turned, POSTING_M, 64)
+    a = compute_hessian_eigenvalue_map(tycho, POSTING_M, 64)
+    b = compute_hessian_eigenvalue_map(turned, POSTING_M, 64)
     np.testing.assert_allclose(np.rot90(a), b, rtol=1e-4)
 
 
 def test_a_ridge_is_no_corner_and_a_plane_is_nothing():
     x, y = np.meshgrid(np.arange(64.0), np.arange(64.0))
     plane = (3.0 * x - 2.0 * y).astype(np.float32)
-    assert hessian_eigenvalue(plane, 1.0) == pytest.approx(0.0, abs=1e-6)
+    assert compute_hessian_eigenvalue(plane, 1.0) == pytest.approx(0.0, abs=1e-6)
     ridge = (5.0 * np.cos(x / 5.0)).astype(np.float32)
     bowl = (5.0 * np.cos(np.hypot(x - 32.0, y - 32.0) / 5.0)).astype(np.float32)
-    assert hessian_eigenvalue(ridge, 1.0) < 1e-3 * hessian_eigenvalue(bowl, 1.0)
+    assert compute_hessian_eigenvalue(ridge, 1.0) < 1e-3 * compute_hessian_eigenvalue(bowl, 1.0)
 
 
 def test_a_window_with_holes_has_no_score_and_a_speck_is_forgiven(tycho):
     holed = tycho.copy()
     holed[100:130, 100:130] = np.nan
     holed[20, 20] = np.nan
-    scores = hessian_eigenvalue_map(holed, POSTING_M, 64)
+    scores = compute_hessian_eigenvalue_map(holed, POSTING_M, 64)
     assert np.isnan(scores[80, 80])
     assert np.isfinite(scores[0, 0])
 
@@ -101,9 +103,9 @@ def test_a_window_with_holes_has_no_score_and_a_speck_is_forgiven(tycho):
 def test_half_a_turn_of_azimuths_is_enough():
     angle = np.radians([10.0, 190.0])
     suns = np.stack([np.sin(angle), np.cos(angle), np.ones(2)], axis=1)
-    products = sun_products(suns)
+    products = compute_sun_products(suns)
     np.testing.assert_allclose(products[0], products[1], atol=1e-6)
-    assert azimuth_products(8).shape == (8, 3)
+    assert compute_azimuth_products(8).shape == (8, 3)
 
 
 def test_the_closed_form_ranks_ground_as_renders_do(tycho):
@@ -115,7 +117,9 @@ def test_the_closed_form_ranks_ground_as_renders_do(tycho):
     for row in range(2, 190, 31):
         for col in range(2, 190, 31):
             cut = np.s_[row : row + 64, col : col + 64]
-            value = hessian_eigenvalue(smooth[cut], POSTING_M, sun_products(direction[None]))
+            value = compute_hessian_eigenvalue(
+                smooth[cut], POSTING_M, compute_sun_products(direction[None])
+            )
             predicted.append(1.0 / (20.0 * np.sqrt(value)))
             rendered.append(predict_match(picture[cut], 20.0).error_px)
     ratio = np.array(rendered) / np.array(predicted)
@@ -184,4 +188,4 @@ def test_contrast_is_that_of_opencv_on_half_as_many_nodes(tycho, rows, cols):
 
 def test_a_window_that_does_not_fit_is_refused(tycho):
     with pytest.raises(ValueError, match="does not fit"):
-        hessian_eigenvalue_map(tycho, POSTING_M, 300)
+        compute_hessian_eigenvalue_map(tycho, POSTING_M, 300)

@@ -4,25 +4,25 @@ import numpy as np
 import pytest
 
 from catalog.geometry.latlon import angular_distance
-from catalog.selection.spacing import RELAXED, choose_spaced, strongest_peaks
+from catalog.selection.spacing import RELAXED, choose_spaced, find_peaks
 
 
 def test_the_strongest_peaks_are_taken_in_order_and_apart():
     response = np.zeros((30, 30), np.float32)
     response[5, 5], response[5, 7], response[20, 20], response[10, 25] = 9.0, 8.0, 7.0, 1.0
-    assert strongest_peaks(response, 4.0, 3) == [(5, 5), (20, 20), (10, 25)]
-    assert strongest_peaks(response, 1.5, 2) == [(5, 5), (5, 7)]
+    assert find_peaks(response, 4.0, 3) == [(5, 5), (20, 20), (10, 25)]
+    assert find_peaks(response, 1.5, 2) == [(5, 5), (5, 7)]
 
 
 def test_unknown_and_worthless_places_are_never_peaks():
     response = np.full((9, 9), np.nan, np.float32)
     response[4, 4], response[1, 1] = 2.0, 0.0
-    assert strongest_peaks(response, 2.0, 5) == [(4, 4)]
-    assert strongest_peaks(np.zeros((5, 5), np.float32), 2.0, 5) == []
+    assert find_peaks(response, 2.0, 5) == [(4, 4)]
+    assert find_peaks(np.zeros((5, 5), np.float32), 2.0, 5) == []
 
 
 def test_equal_responses_are_taken_in_row_order():
-    assert strongest_peaks(np.ones((4, 4), np.float32), 10.0, 2) == [(0, 0)]
+    assert find_peaks(np.ones((4, 4), np.float32), 10.0, 2) == [(0, 0)]
 
 
 def scattered(seed, near_lat, near_lon):

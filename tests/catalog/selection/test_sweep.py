@@ -6,9 +6,18 @@ import pytest
 import rasterio
 
 from catalog.config import resource
-from catalog.selection.localisation import azimuth_products, hessian_eigenvalue_map, sun_products
-from catalog.selection.spacing import strongest_peaks
-from catalog.selection.sweep import MARGIN, strongest_windows, tile_sums, window_eigenvalues
+from catalog.selection.localisation import (
+    compute_azimuth_products,
+    compute_hessian_eigenvalue_map,
+    compute_sun_products,
+)
+from catalog.selection.spacing import find_peaks
+from catalog.selection.sweep import (
+    MARGIN,
+    compute_window_eigenvalues,
+    find_strongest_windows,
+    sum_tiles,
+)
 
 POSTING_M = 118.45
 STEP, TALL = 4, 16
@@ -25,10 +34,10 @@ def swept(heights, step=STEP, tall=TALL, products=None, stretch=1.0, wide=None):
     rows = (heights.shape[0] - 2 * MARGIN) // step * step
     cols = (heights.shape[1] - 2 * MARGIN) // step * step
     inner = heights[: rows + 2 * MARGIN, : cols + 2 * MARGIN]
-    tiles = tile_sums(inner, POSTING_M, np.full(rows, stretch), step)
+    tiles = sum_tiles(inner, POSTING_M, np.full(rows, stretch), step)
     windows = np.full(tiles.shape[1] - tall + 1, wide or tall)
-    return window_eigenvalues(tiles, tall, windows, azimuth_products() if products is None
-                              else products)  # fmt: skip
+    suns = compute_azimuth_products() if products is None else products
+    return compute_window_eigenvalues(tiles, tall, windows, suns)
 
 
 @pytest.mark.parametrize(("step", "tall"), [(4, 16), (1, 16), (3, 16), (16, 16), (5, 7)])
@@ -40,10 +49,12 @@ def test_response_is_that_of_a_blurred_grid(tycho, step, tall):
     suns = np.array([[0.9, 0.1, 0.2], [-0.5, 0.2, 0.6], [0.1, 0.8, 0.4]])
     suns /= np.linalg.norm(suns, axis=1)[:, None]
     ground = tycho[: 2 * MARGIN + 300, : 2 * MARGIN + 310]
-    found = swept(ground, step, tall, sun_products(suns))
+    found = swept(ground, step, tall, compute_sun_products(suns))
     blurred = cv2.GaussianBlur(ground, (9, 9), 1.0)
     # rows go north here, south there
-    wanted = hessian_eigenvalue_map(blurred[::-1], POSTING_M, tall * step, sun_products(suns))
+    wanted = compute_hessian_eigenvalue_map(
+        blurred[::-1], POSTING_M, tall * step, compute_sun_products(suns)
+    )
     wanted = wanted[::-1][MARGIN::step, MARGIN::step]
     rows, cols = (min(a, b) for a, b in zip(found.shape, wanted.shape, strict=True))
     cols = min(cols, int(np.isfinite(found).all(axis=0).sum()))
@@ -104,10 +115,10 @@ def test_strongest_windows_are_those_of_a_search_with_numpy(separation):
     response[4:9, 10:20] = np.nan
     wide = np.full(30, 16)
     west, east = np.array([10.0, 30.0, 60.5]), np.array([29.0, 59.0, 89.0])
-    found = strongest_windows(response, wide, west, east, np.ones(30), separation, 6)
+    found = find_strongest_windows(response, wide, west, east, np.ones(30), separation, 6)
     for n in range(3):
         first, last = int(np.ceil(west[n] - 8.0)), int(np.floor(east[n] - 8.0))
-        wanted = strongest_peaks(response[:, first : last + 1], separation, 6)
+        wanted = find_peaks(response[:, first : last + 1], separation, 6)
         assert [(r, c - first) for r, c in found[n].tolist()] == wanted
 
 
@@ -115,14 +126,14 @@ def test_separation_counts_metres_where_columns_crowd():
     response = np.zeros((3, 40), np.float32)
     response[1, 10], response[1, 13], response[1, 15] = 3.0, 2.0, 1.0
     args = response, np.full(3, 2), np.array([0.0]), np.array([40.0])
-    found = strongest_windows(*args, np.full(3, 0.5), 2.4, 3)
+    found = find_strongest_windows(*args, np.full(3, 0.5), 2.4, 3)
     assert found[0, :, 1].tolist() == [10, 15, -1]
-    assert strongest_windows(*args, np.ones(3), 2.4, 3)[0, :2, 1].tolist() == [10, 13]
+    assert find_strongest_windows(*args, np.ones(3), 2.4, 3)[0, :2, 1].tolist() == [10, 13]
 
 
 def test_tiles_that_do_not_fit_are_refused(tycho):
     with pytest.raises(ValueError, match="no tiles"):
-        tile_sums(tycho, POSTING_M, np.ones(390), 4)
-    tiles = tile_sums(tycho[:50, :50], POSTING_M, np.ones(40), 4)
+        sum_tiles(tycho, POSTING_M, np.ones(390), 4)
+    tiles = sum_tiles(tycho[:50, :50], POSTING_M, np.ones(40), 4)
     with pytest.raises(ValueError, match="do not fit"):
-        window_eigenvalues(tiles, 4, np.full(7, 11), azimuth_products())
+        compute_window_eigenvalues(tiles, 4, np.full(7, 11), compute_azimuth_products())

@@ -10,14 +10,14 @@ from catalog.selection.trial import (
     Gate,
     Level,
     Search,
-    _noise,
-    distortion,
+    _draw_noise,
+    compute_distortion,
+    compute_side,
+    compute_truth_size,
     draw_circumstances,
-    exposed,
-    picture_of,
     run_trial,
-    side_under,
-    truth_size,
+    scale_to_counts,
+    simulate_picture,
 )
 
 MOON_M = 1_737_400.0
@@ -42,7 +42,7 @@ def levels(seed=1, height_m=120.0, count=2):
     found = []
     for level in range(count):
         posting, finer = POSTING_M * 2.0**level, 1 if level else FINER
-        truth = smooth_terrain(seed, truth_size(SEARCH, finer), posting / finer, height_m)
+        truth = smooth_terrain(seed, compute_truth_size(SEARCH, finer), posting / finer, height_m)
         reference = smooth_terrain(seed, 64, posting, height_m)
         found.append(Level(reference, truth, posting, finer=finer))
     return found
@@ -115,9 +115,9 @@ def test_a_trial_without_a_level_is_refused():
 
 
 def test_distortion_turns_stretches_and_squeezes_as_stated():
-    turned = distortion(circumstances(roll=np.radians(90.0), scale=1.1))
+    turned = compute_distortion(circumstances(roll=np.radians(90.0), scale=1.1))
     np.testing.assert_allclose(turned @ [1.0, 0.0], [0.0, 1.1], atol=1e-12)
-    squeezed = distortion(circumstances(stretch=0.9, stretch_azimuth=np.radians(90.0)))
+    squeezed = compute_distortion(circumstances(stretch=0.9, stretch_azimuth=np.radians(90.0)))
     np.testing.assert_allclose(squeezed, np.diag([0.9, 1.0]), atol=1e-12)
 
 
@@ -140,8 +140,8 @@ def test_a_picture_has_the_stated_noise_and_whole_counts():
     bright = np.tile(np.linspace(0.1, 0.2, 200, dtype=np.float32), (200, 1))
     centre = np.full(2, 99.5)
     rng = np.random.default_rng(9)
-    clean = picture_of(bright, np.eye(2) * FINER, centre, 64, 1, 1e9, rng)
-    noisy = picture_of(bright, np.eye(2) * FINER, centre, 64, 1, 20.0, rng)
+    clean = simulate_picture(bright, np.eye(2) * FINER, centre, 64, 1, 1e9, rng)
+    noisy = simulate_picture(bright, np.eye(2) * FINER, centre, 64, 1, 20.0, rng)
     assert np.array_equal(noisy, np.rint(noisy))
     assert noisy.max() <= 255
     scale = 1.0 / np.percentile(bright, 99.5) * 255
@@ -154,13 +154,13 @@ def test_a_picture_has_the_stated_noise_and_whole_counts():
 def test_the_truth_covers_every_window_that_can_be_asked_for(finer):
     worst = draw_circumstances(np.random.default_rng(1), np.eye(3)[2:], POSTING_M)
     worst = worst._replace(roll=np.radians(6.0), scale=0.9, stretch=1.0)
-    size = truth_size(SEARCH, finer)
+    size = compute_truth_size(SEARCH, finer)
     bright = np.ones((size, size), np.float32)
     window = SEARCH.template_nodes + 2 * SEARCH.coarse_nodes
-    inverse = np.linalg.inv(distortion(worst))
+    inverse = np.linalg.inv(compute_distortion(worst))
     centre = np.full(2, (size - 1) / 2.0)
     rng = np.random.default_rng(2)
-    picture = picture_of(bright, finer * inverse, centre, window, 1, 1e9, rng, finer)
+    picture = simulate_picture(bright, finer * inverse, centre, window, 1, 1e9, rng, finer)
     assert np.isfinite(picture).all()
     assert cv2.countNonZero(picture) == picture.size
 
@@ -174,12 +174,12 @@ def test_exposure_is_numpy_s_percentile_of_the_noisy_picture():
         noisy = sampled + noise * np.float32(np.nanmean(sampled) * 0.08)
         white = np.nanpercentile(noisy, 99.5)
         wanted = np.clip(np.rint(noisy * (255.0 / white)), 0, 255)
-        found = exposed(sampled, noise, 0.08)
+        found = scale_to_counts(sampled, noise, 0.08)
         assert np.array_equal(np.isnan(found), np.isnan(sampled))
         # a count may fall to the other side of a half
         assert np.nanmax(np.abs(found - wanted)) <= 1.0
         assert ((found != wanted) & ~np.isnan(wanted)).sum() <= 1 + sampled.size // 100
-    assert np.isnan(exposed(np.full((4, 4), np.nan, np.float32), noise[:1, :1], 0.1)).all()
+    assert np.isnan(scale_to_counts(np.full((4, 4), np.nan, np.float32), noise[:1, :1], 0.1)).all()
 
 
 def test_the_part_of_the_truth_under_a_picture_gives_the_same_picture():
@@ -187,15 +187,19 @@ def test_the_part_of_the_truth_under_a_picture_gives_the_same_picture():
     truth = rng.uniform(0.1, 0.2, (200, 200)).astype(np.float32)
     for _ in range(10):
         matrix = FINER * np.linalg.inv(
-            distortion(circumstances(roll=rng.uniform(-0.1, 0.1), scale=rng.uniform(0.95, 1.1)))
+            compute_distortion(
+                circumstances(roll=rng.uniform(-0.1, 0.1), scale=rng.uniform(0.95, 1.1))
+            )
         )
         offset = rng.uniform(-5.0, 5.0, 2)
-        side = side_under(matrix, offset, 64, 200)
+        side = compute_side(matrix, offset, 64, 200)
         assert side < 200
         cut = slice(100 - side // 2, 100 + side // 2)
         seed = np.random.default_rng(5), np.random.default_rng(5)
-        whole = picture_of(truth, matrix, 99.5 + offset, 64, 1, 1e9, seed[0])
-        part = picture_of(truth[cut, cut], matrix, (side - 1) / 2 + offset, 64, 1, 1e9, seed[1])
+        whole = simulate_picture(truth, matrix, 99.5 + offset, 64, 1, 1e9, seed[0])
+        part = simulate_picture(
+            truth[cut, cut], matrix, (side - 1) / 2 + offset, 64, 1, 1e9, seed[1]
+        )
         # warpAffine rounds its coordinates: a count here and there
         np.testing.assert_allclose(part, whole, atol=1.0)
         assert (part == whole).mean() > 0.95
@@ -203,9 +207,9 @@ def test_the_part_of_the_truth_under_a_picture_gives_the_same_picture():
 
 def test_noise_of_trials_is_white_and_their_own():
     """Of unit variance, without likeness of neighbours or trials; the same for a seed."""
-    one, two, again = (_noise(80, np.random.default_rng(seed)) for seed in (1, 2, 1))
+    one, two, again = (_draw_noise(80, np.random.default_rng(seed)) for seed in (1, 2, 1))
     np.testing.assert_array_equal(one, again)
-    many = np.array([_noise(80, np.random.default_rng(seed)) for seed in range(40)])
+    many = np.array([_draw_noise(80, np.random.default_rng(seed)) for seed in range(40)])
     assert abs(many.mean()) < 0.02
     assert many.std() == pytest.approx(1.0, abs=0.02)
     for pair in ((one, two), (one[1:], one[:-1]), (one[:, 1:], one[:, :-1])):

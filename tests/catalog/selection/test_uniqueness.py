@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from catalog.pipeline.check import shadowed_share
-from catalog.selection.localisation import best_rival, uniqueness_margin
+from catalog.pipeline.check import measure_shadowed_share
+from catalog.selection.localisation import compute_uniqueness_margin, find_best_rival
 
 
 def relief(size, seed):
@@ -17,23 +17,23 @@ def relief(size, seed):
 def test_repeated_ground_has_no_margin_and_other_ground_has_one():
     tile = relief(6, 1)
     repeated = np.tile(tile, (14, 14))[:80, :80]  # every 6 nodes the same again
-    assert uniqueness_margin(repeated, 64, 8.0) < 0.02
-    assert uniqueness_margin(relief(80, 2), 64, 8.0) > 0.1
+    assert compute_uniqueness_margin(repeated, 64, 8.0) < 0.02
+    assert compute_uniqueness_margin(relief(80, 2), 64, 8.0) > 0.1
 
 
 def test_rivals_out_of_reach_do_not_count():
     tile = relief(6, 1)
     repeated = np.tile(tile, (14, 14))[:80, :80]
-    assert uniqueness_margin(repeated, 64, 5.0) > 0.05
+    assert compute_uniqueness_margin(repeated, 64, 5.0) > 0.05
 
 
 def test_the_slope_of_the_true_peak_is_no_rival():
     y, x = np.mgrid[-8:9, -8:9]
     cone = (1.0 - 0.05 * np.hypot(x, y)).astype(np.float32)
-    assert best_rival(cone, 8.0) == -1.0
+    assert find_best_rival(cone, 8.0) == -1.0
     cone[2, 3] = 0.9
-    assert best_rival(cone, 8.0) == pytest.approx(0.9)
-    assert best_rival(cone, 5.0) == -1.0
+    assert find_best_rival(cone, 8.0) == pytest.approx(0.9)
+    assert find_best_rival(cone, 5.0) == -1.0
 
 
 def test_the_best_rival_is_the_highest_of_scipy_s_local_maxima_in_reach():
@@ -43,7 +43,7 @@ def test_the_best_rival_is_the_highest_of_scipy_s_local_maxima_in_reach():
         surface = rng.random((17, 17), dtype=np.float32)
         local = surface == ndimage.maximum_filter(surface, 3, mode="constant", cval=-1.0)
         wanted = surface[local & (away > 3) & (away <= reach)].max()
-        assert best_rival(surface, reach) == wanted
+        assert find_best_rival(surface, reach) == wanted
 
 
 def sun(azimuth_deg, elevation_deg):
@@ -55,11 +55,11 @@ def test_suns_are_compared_with_the_limit_of_their_own_azimuth():
     limits = np.zeros(36)
     limits[9] = 20.0  # due east
     suns = np.array([sun(90, 15), sun(94, 15), sun(96, 15), sun(90, 25), sun(-90, 15)])
-    assert shadowed_share(limits, suns) == pytest.approx(2 / 5)
+    assert measure_shadowed_share(limits, suns) == pytest.approx(2 / 5)
 
 
 def test_azimuths_just_west_of_north_belong_to_the_first_bin():
     limits = np.zeros(36)
     limits[0] = 10.0
-    assert shadowed_share(limits, np.array([sun(357, 5)])) == 1.0
-    assert shadowed_share(limits, np.array([sun(354, 5)])) == 0.0
+    assert measure_shadowed_share(limits, np.array([sun(357, 5)])) == 1.0
+    assert measure_shadowed_share(limits, np.array([sun(354, 5)])) == 0.0

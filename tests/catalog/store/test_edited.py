@@ -17,10 +17,10 @@ from catalog.inspect.draw import draw_pyramid
 from catalog.inspect.export import export, export_patch
 from catalog.inspect.summary import catalog_document, describe, describe_point, point_document
 from catalog.store.codec import Encoded
-from catalog.store.manifest import _checksum
-from catalog.store.patches import patch_header
+from catalog.store.manifest import _hash_rows
+from catalog.store.patches import pack_header
 from catalog.store.reader import Catalog
-from catalog.store.records import checksum, record_type
+from catalog.store.records import compute_checksum, record_type
 from catalog.store.verify import verify
 from catalog.store.writer import Written
 from tests.catalog.made_catalogs import LEVELS
@@ -38,7 +38,7 @@ def edit_record(path: Path, field: str, value: float) -> bool:
         records = np.frombuffer(data, LAYOUT).copy()
         with np.errstate(over="ignore"):
             records[field][0] = value
-        row = checksum(records.tobytes()), records.tobytes()
+        row = compute_checksum(records.tobytes()), records.tobytes()
         db.execute("UPDATE optnav_records SET checksum = ?, data = ? WHERE id = 0", row)
     return records.tobytes() != data
 
@@ -51,7 +51,7 @@ def edit_meta(path: Path, key: str, value: str | bytes | None) -> None:
         else:
             db.execute("UPDATE optnav_meta SET value = ? WHERE key = ?", (value, key))
         rows = {str(k): str(v) for k, v in db.execute("SELECT key, value FROM optnav_meta")}
-        fitting = (_checksum(rows),)
+        fitting = (_hash_rows(rows),)
         db.execute("UPDATE optnav_meta SET value = ? WHERE key = 'checksum'", fitting)
 
 
@@ -63,8 +63,8 @@ def edit_patch(path: Path, **columns: object) -> int:
         new = {**row, **columns}
         with suppress(struct.error, TypeError, AttributeError):
             encoded = Encoded(new["size"], new["step"], new["value_offset"], new["data"])
-            header = patch_header(row["point_id"], row["level"], new["posting_m"], encoded)
-            new["checksum"] = checksum(header, encoded.data)
+            header = pack_header(row["point_id"], row["level"], new["posting_m"], encoded)
+            new["checksum"] = compute_checksum(header, encoded.data)
         texts = ", ".join(f"{name} = ?" for name in new)
         db.execute(f"UPDATE optnav_patches SET {texts} WHERE id = {row['id']}", [*new.values()])
     return int(row["point_id"])

@@ -44,7 +44,7 @@ def check_against_tree(
     # points that are equally far to the last bits may change places: the distance must agree
     least, _ = cKDTree(direction).query(wanted)
     for place, vector, chord in zip(places, wanted, least):
-        found = index.nearest_row(float(place[0]), float(place[1]))
+        found = index.find_nearest_row(float(place[0]), float(place[1]))
         assert np.linalg.norm(direction[found] - vector) <= chord * (1.0 + 1e-12), place
 
 
@@ -84,9 +84,9 @@ def test_the_tree_agrees_with_comparing_every_point() -> None:
     for place in queries(rng, 300):
         vector = xyz_from_latlon(*np.radians(place), 1.0)
         chords = np.linalg.norm(direction - vector, axis=1)
-        assert chords[index.nearest_row(*place.tolist())] <= chords.min() * (1.0 + 1e-12)
+        assert chords[index.find_nearest_row(*place.tolist())] <= chords.min() * (1.0 + 1e-12)
 
 
 def test_an_empty_index_has_no_nearest_point() -> None:
     nothing = np.empty(0, dtype=np.int64)
-    assert CellIndex(CellGrid(1.0), nothing, np.empty((0, 3))).nearest_row(0.0, 0.0) == -1
+    assert CellIndex(CellGrid(1.0), nothing, np.empty((0, 3))).find_nearest_row(0.0, 0.0) == -1

@@ -58,7 +58,7 @@ def test_within_agrees_with_angles(catalog: Catalog) -> None:
 
 def test_arrays_and_points_agree(catalog: Catalog) -> None:
     for row, point in enumerate(catalog.points()):
-        assert catalog.row_of(point.id) == row
+        assert catalog.find_row(point.id) == row
         assert catalog.usable[row] == point.usable
         assert np.allclose(catalog.xyz_m[row], point.xyz_m, rtol=0, atol=1e-6)
 
@@ -66,7 +66,7 @@ def test_arrays_and_points_agree(catalog: Catalog) -> None:
 def test_an_id_that_is_not_there_is_told(catalog: Catalog) -> None:
     missing = set(range(-1, catalog.grid.total + 1)) - set(catalog.ids.tolist())
     for cell in missing:
-        for ask in (catalog.row_of, catalog.point, catalog.patches):
+        for ask in (catalog.find_row, catalog.point, catalog.patches):
             with pytest.raises(DataError, match=f"no control point {cell};"):
                 ask(cell)
 

@@ -17,7 +17,7 @@ import rasterio
 from catalog.arrays import Float32Array
 from catalog.errors import DataError, OutputError
 from catalog.inspect.compare import compare, require_whole
-from catalog.inspect.differences import lines, summary
+from catalog.inspect.differences import format_lines, summarise
 from catalog.inspect.export import export_relief
 from catalog.inspect.summary import catalog_document, describe
 from catalog.store import relief as stored
@@ -235,12 +235,12 @@ def test_compare_measures_reliefs(put: Callable[..., Written], carried: Written)
     assert found.relief is not None
     assert (found.relief.cells, found.relief.mean_max_m) == (1, 30.0)
     assert found.relief.mean_rms_m == pytest.approx(30.0 / np.sqrt(2 * ROWS * ROWS))
-    assert "settings: 1" in summary(found)
-    told = "\n".join(lines(found))
+    assert "settings: 1" in summarise(found)
+    told = "\n".join(format_lines(found))
     assert "relief: 1 cells, means max 30.000 m" in told
     assert "setting: relief: 40 rows of a (" in told
     plain = put("plain.gpkg", None)
-    assert "-> none" in "\n".join(lines(compare(carried.path, plain.path)))
+    assert "-> none" in "\n".join(format_lines(compare(carried.path, plain.path)))
     again = put("again.gpkg", true)
     assert compare(carried.path, again.path).same
 

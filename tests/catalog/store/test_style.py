@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from catalog.inspect.export import export
-from catalog.store.geopackage import BLUE, GREEN, RED, Rule, style_qml
+from catalog.store.geopackage import BLUE, GREEN, RED, Rule, format_style
 from catalog.store.reader import Catalog
 from catalog.store.writer import Written
 
@@ -16,7 +16,7 @@ pyogrio = pytest.importorskip("pyogrio", reason="needs pyogrio to read vector la
 
 
 def test_every_rule_has_a_symbol_of_its_own() -> None:
-    text = style_qml(
+    text = format_style(
         Rule("a <b>", '"usable" AND "name" <> \'x\'', "circle", GREEN, 2.0),
         Rule("the rest", "ELSE", "cross2", RED, 2.0),
         Rule("way", "", "line", BLUE, 0.5),

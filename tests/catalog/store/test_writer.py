@@ -13,7 +13,7 @@ import pytest
 
 from catalog.errors import OutputError
 from catalog.store.reader import Catalog
-from catalog.store.records import rounded_point
+from catalog.store.records import round_point
 from catalog.store.writer import Written
 from tests.catalog.store.written import write_points
 
@@ -22,7 +22,7 @@ def test_points_and_patches_come_back(world: Any, written: Written) -> None:
     with Catalog.open(written.path) as catalog:
         assert catalog.ids.tolist() == [point.id for point, _ in world.points]
         for point, patches in world.points:
-            assert catalog.point(point.id) == rounded_point(point)
+            assert catalog.point(point.id) == round_point(point)
             back = catalog.patches(point.id)
             assert [p.posting_m for p in back] == [round(p.posting_m, 6) for p in patches]
             for one, other in zip(patches, back, strict=True):
@@ -32,7 +32,7 @@ def test_points_and_patches_come_back(world: Any, written: Written) -> None:
 
 def test_rounding_moves_a_point_by_millimetres_only(world: Any) -> None:
     for point, _ in world.points:
-        assert np.linalg.norm(rounded_point(point).xyz_m - point.xyz_m) < 0.004
+        assert np.linalg.norm(round_point(point).xyz_m - point.xyz_m) < 0.004
 
 
 def test_unknown_numbers_come_back_as_unknown(make: Callable[..., Any], tmp_path: Path) -> None:

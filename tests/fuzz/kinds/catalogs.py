@@ -12,9 +12,9 @@ import zstandard
 
 from catalog.store import manifest
 from catalog.store.codec import Encoded
-from catalog.store.connection import put_seal
-from catalog.store.patches import patch_header
-from catalog.store.records import checksum, record_type
+from catalog.store.connection import write_seal
+from catalog.store.patches import pack_header
+from catalog.store.records import compute_checksum, record_type
 from tests.fuzz.cases import DATA, DIFFERS, NOTHING, OK, Case, Place, kind
 from tests.fuzz.damage import damaged
 
@@ -96,7 +96,7 @@ def edited(place: Place) -> Case:
         except (sqlite3.Error, ValueError, TypeError, UnicodeEncodeError) as error:
             note += f"; manifest left: {error}"
     try:
-        put_seal(path)
+        write_seal(path)
     except Exception as error:  # noqa: BLE001 -- whatever is left of it
         note += f"; not sealed: {error}"
     return _read(place, f"{name}: {note}", verified=frozenset({OK, DATA}))
@@ -106,7 +106,7 @@ def _sum_up(db: sqlite3.Connection) -> None:
     """Let the manifest's checksum fit, and open its seal."""
     rows = dict(db.execute("SELECT key, value FROM optnav_meta"))
     texts = {str(key): str(value) for key, value in rows.items()}
-    fitting = manifest._checksum(texts)
+    fitting = manifest._hash_rows(texts)
     db.execute("UPDATE optnav_meta SET value = ? WHERE key = 'checksum'", (fitting,))
     db.execute("UPDATE optnav_meta SET value = ? WHERE key = 'seal'", (manifest.OPEN_SEAL,))
 
@@ -148,7 +148,7 @@ def _record(db: sqlite3.Connection, rng: random.Random) -> str:
             changed[: rng.randrange(len(changed))],
             rng.choice((0, 1, 2, 3, 4096, 2**40)),
         )
-    row = (count, checksum(changed), changed, number)
+    row = (count, compute_checksum(changed), changed, number)
     db.execute("UPDATE optnav_records SET count = ?, checksum = ?, data = ? WHERE id = ?", row)
     return f"record {name}{list(spot)} = {field[spot]}, {len(changed)} bytes, count {count}"
 
@@ -177,8 +177,8 @@ def _patch(db: sqlite3.Connection, rng: random.Random) -> str:
             (zstandard.ZstdCompressor().compress(plain), plain, b"", damaged(data, rng)[0])
         )
     try:
-        header = patch_header(point, level, posting, Encoded(size, step, offset, data))
-        total = checksum(header, data)
+        header = pack_header(point, level, posting, Encoded(size, step, offset, data))
+        total = compute_checksum(header, data)
     except (struct.error, TypeError):
         total = 0
     row = (posting, size, step, offset, total, data, key)
@@ -205,7 +205,9 @@ def _bomb(db: sqlite3.Connection, rng: random.Random) -> str:
         part = zstandard.ZstdCompressor(level=1).compress(bytes(1 << 24))
         data, note = part * rng.choice((1, 40)), "has gigabytes"
         size = rng.choice((size, 4096))
-    total = checksum(patch_header(point, level, posting, Encoded(size, step, offset, data)), data)
+    total = compute_checksum(
+        pack_header(point, level, posting, Encoded(size, step, offset, data)), data
+    )
     db.execute(
         "UPDATE optnav_patches SET size = ?, checksum = ?, data = ? WHERE id = ?",
         (size, total, data, key),

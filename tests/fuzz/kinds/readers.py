@@ -43,7 +43,7 @@ def _read_label() -> None:
     maker = FrameMaker(load_table(Path("t.toml")), "made", AnalyticEphemeris(MOON))
     for source in read_sources(Path("a.lbl")):
         if source.label is not None:
-            maker.of_label(source.label, "a.img")
+            maker.make_from_label(source.label, "a.img")
 
 
 @kind("reader-label", 1.0)

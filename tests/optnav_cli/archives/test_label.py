@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from catalog.errors import DataError
-from optnav_cli.archives.label import format_of, read_label
+from optnav_cli.archives.label import detect_format, read_label
 from optnav_cli.frames.fits_picture import find_unit, read_fits
 
 PDS3 = """PDS_VERSION_ID = PDS3 /* a comment = "no value" */
@@ -50,7 +50,7 @@ def fits(bitpix: int, values: np.ndarray, cards: tuple[str, ...] = ()) -> bytes:
 def test_a_pds3_label_is_read_with_units_blocks_and_long_values(tmp_path: Path) -> None:
     path = tmp_path / "a.lbl"
     path.write_text(PDS3)
-    assert format_of(path) == "pds3"
+    assert detect_format(path) == "pds3"
     label = read_label(path, "pds3")
     assert label.text("TARGET_NAME") == "67P/CHURYUMOV- GERASIMENKO"
     assert label.text("START_TIME") == "2014-08-05T21:07:19.029"
@@ -66,7 +66,7 @@ def test_a_pds3_label_is_read_with_units_blocks_and_long_values(tmp_path: Path) 
 def test_a_pds4_label_is_read_by_the_ends_of_its_paths(tmp_path: Path) -> None:
     path = tmp_path / "a.xml"
     path.write_text(PDS4)
-    assert format_of(path) == "pds4"
+    assert detect_format(path) == "pds4"
     label = read_label(path, "pds4")
     keys = ("Vector_To_Target/x_position", "-Vector_To_Target/y_position")
     np.testing.assert_array_equal(label.numbers(keys, "length"), [1500.0, 2000.0])
@@ -90,7 +90,7 @@ def test_fits_pictures_of_every_type_are_read(tmp_path: Path, bitpix: int, dtype
     values = np.arange(12).reshape(3, 4).astype(dtype)
     path = tmp_path / "a.fit"
     path.write_bytes(fits(bitpix, values, ("NEAR-005= 'MSI''s  '", "COMMENT  = nothing")))
-    assert format_of(path) == "fits"
+    assert detect_format(path) == "fits"
     label = read_label(path, "fits")
     assert label.text("NEAR-005") == "MSI's"
     np.testing.assert_array_equal(picture(path), np.arange(12).reshape(3, 4))
@@ -120,7 +120,7 @@ def test_damaged_fits_files_are_refused(tmp_path: Path) -> None:
 def test_settings_are_read_by_section_with_lists(tmp_path: Path) -> None:
     path = tmp_path / "a.lbl"
     path.write_text("[main]\nx = 0\n\n[real]\nx = 0.5\nsun = [ 1e8 -2e8 3.5 ]\n")
-    assert format_of(path) == "settings"
+    assert detect_format(path) == "settings"
     label = read_label(path, "settings")
     np.testing.assert_array_equal(label.numbers(("real.x", "real.sun")), [0.5, 1e8, -2e8, 3.5])
 

@@ -13,7 +13,7 @@ from optnav_cli.archives.label_geometry import (
     AttitudeKeys,
     TimeKeys,
     VectorKeys,
-    axes_of,
+    find_axes,
     is_vector_stated,
     read_attitude,
     read_time,
@@ -150,7 +150,7 @@ def test_a_position_is_a_range_above_a_point(tmp_path: Path) -> None:
     stated = {"LAT": "30.0", "LON": "60.0 <deg>", "R": "2000.0 <km>"}
     x, y, z = 2e6 * np.array([np.sqrt(3.0) / 4.0, 0.75, 0.5])
     label = pds3(tmp_path, **stated)
-    assert axes_of(label, keys) == "body"
+    assert find_axes(label, keys) == "body"
     np.testing.assert_allclose(read_vector(label, keys, MOON), [x, y, z])
     west = pds3(tmp_path, **stated, POSITIVE_LONGITUDE_DIRECTION="WEST")
     np.testing.assert_allclose(read_vector(west, keys, MOON), [x, -y, z])
@@ -185,17 +185,17 @@ def test_planetographic_latitudes_are_brought_to_the_centre(tmp_path: Path) -> N
 )  # fmt: skip
 def test_the_frame_that_a_label_names_is_heeded(tmp_path: Path, frame: str, axes: str) -> None:
     label = pds3(tmp_path, V="(1, 2, 3)", COORDINATE_SYSTEM_NAME=f'"{frame}"')
-    assert axes_of(label, VECTOR) == axes
-    assert axes_of(label, VectorKeys(keys=("V",), axes="camera")) == "camera"
+    assert find_axes(label, VECTOR) == axes
+    assert find_axes(label, VectorKeys(keys=("V",), axes="camera")) == "camera"
     tag = "Reference_Frame_Identification"
     elements = f"<W><x>1</x></W><{tag}><name>{frame}</name></{tag}>"
-    assert axes_of(pds4(tmp_path, elements), VectorKeys(keys=("W/x",))) == axes
+    assert find_axes(pds4(tmp_path, elements), VectorKeys(keys=("W/x",))) == axes
 
 
 def test_a_frame_that_is_not_known_is_refused(tmp_path: Path) -> None:
     label = pds3(tmp_path, V="(1, 2, 3)", COORDINATE_SYSTEM_NAME='"S/C-COORDS"')
     with pytest.raises(DataError, match="COORDINATE_SYSTEM_NAME = S/C-COORDS for V, a frame"):
-        axes_of(label, VECTOR)
+        find_axes(label, VECTOR)
     turned = (
         "<O><ra>1</ra><dec>2</dec><c>3</c><Reference_Frame_Identification><name>IAU_MOON</name>"
         "</Reference_Frame_Identification></O>"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optnav_cli.archives.label_units import find_unit, unit_of_comment
+from optnav_cli.archives.label_units import extract_unit, find_unit
 
 
 @pytest.mark.parametrize(
@@ -34,4 +34,4 @@ def test_units_are_known_by_name_and_symbol(unit: str, quantity: str | None, siz
     ],
 )  # fmt: skip
 def test_units_of_fits_comments(comment: str, unit: str) -> None:
-    assert unit_of_comment(comment) == unit
+    assert extract_unit(comment) == unit

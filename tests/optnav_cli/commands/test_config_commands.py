@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
-from catalog.config import named_config
+from catalog.config import resolve_config
 from catalog.errors import OptnavError
 from catalog.pipeline.config import ConfigText
 from catalog.terrain.dem.file import resolve_path
@@ -37,7 +37,7 @@ def test_every_name_that_is_listed_can_be_used(capsys: pytest.CaptureFixture[str
     for entry in found["bodies"]:
         assert load_body(entry["name"]).radius_m > 0.0
     for entry in found["scenarios"]:
-        assert load_scenario(named_config(Path(entry["name"]), "scenarios"))
+        assert load_scenario(resolve_config(Path(entry["name"]), "scenarios"))
     for entry in found["catalogs"]:
         assert ConfigText.read(Path(entry["name"])).load()
     for entry in found["data"]:
@@ -114,16 +114,16 @@ def test_a_folder_needs_a_place_and_a_config_takes_none(words: list[str]) -> Non
 
 def test_rasters_alone_make_a_config_that_says_the_same_anywhere(tmp_path: Path) -> None:
     rasters = [tmp_path / "a" / 'fine "1".tif', tmp_path / "b" / "coarse.tif"]
-    text = ConfigText.of_rasters(rasters, "moon")
+    text = ConfigText.make_from_rasters(rasters, "moon")
     config = text.load()
     assert config.body.name == "moon"
     assert [(dem.path, dem.priority) for dem in config.dem] == [
         ('fine "1".tif', 1),
         ("../b/coarse.tif", 2),
     ]
-    bundled = ConfigText.of_rasters([Path("bundled:moon_gld100_4ppd.tif")], "moon").load()
+    bundled = ConfigText.make_from_rasters([Path("bundled:moon_gld100_4ppd.tif")], "moon").load()
     assert bundled.dem[0].path == "bundled:moon_gld100_4ppd.tif"
-    own = ConfigText.of_rasters(rasters, str(tmp_path / "mine.toml")).load()
+    own = ConfigText.make_from_rasters(rasters, str(tmp_path / "mine.toml")).load()
     assert own.body.name == "../mine.toml"
     with pytest.raises(OptnavError, match="rename it"):
-        ConfigText.of_rasters([Path("a\udcff.tif")], "moon")
+        ConfigText.make_from_rasters([Path("a\udcff.tif")], "moon")

@@ -34,7 +34,7 @@ def test_a_process_that_compiles_ahead_may_fail_and_leaves_nothing(
 ) -> None:
     monkeypatch.setattr(demo, "has_cached_kernels", lambda: False)
     before = set(multiprocessing.active_children())
-    with demo._compiling_ahead(folder / "missing.toml", 2) as is_built:
+    with demo._compile_ahead(folder / "missing.toml", 2) as is_built:
         (process,) = set(multiprocessing.active_children()) - before
         assert len(list(folder.iterdir())) == 1
         is_built(folder / "missing.gpkg")
@@ -50,7 +50,7 @@ def test_an_interrupt_ends_the_process_beside_at_once(
     beside = set()
 
     def interrupted() -> None:
-        with demo._compiling_ahead(SCENARIO, 2):
+        with demo._compile_ahead(SCENARIO, 2):
             beside.update(set(multiprocessing.active_children()) - before)
             raise KeyboardInterrupt
 
@@ -69,7 +69,7 @@ def test_nothing_runs_beside_one_worker_or_when_all_is_compiled(
 ) -> None:
     monkeypatch.setattr(demo, "has_cached_kernels", lambda: cached)
     before = set(multiprocessing.active_children())
-    with demo._compiling_ahead(SCENARIO, workers) as is_built:
+    with demo._compile_ahead(SCENARIO, workers) as is_built:
         is_built(folder / "missing.gpkg")
         assert set(multiprocessing.active_children()) == before
         assert list(folder.iterdir()) == []

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from catalog.config import resource
-from catalog.places import claimed
+from catalog.places import lock_output
 from optnav_cli.main import run
 from tests.catalog.made_catalogs import make_world
 from tests.optnav_cli.made_runs import write_run
@@ -75,7 +75,7 @@ def claimed_elsewhere(place: Path) -> Iterator[None]:
     ready, done = threading.Event(), threading.Event()
 
     def hold() -> None:
-        with claimed(place):
+        with lock_output(place):
             ready.set()
             done.wait(60)
 

@@ -60,7 +60,7 @@ def test_a_truth_in_another_frame_is_told_so(tmp_path, make_run, attitude, writt
     for line in lines:
         cells = line.split(",")
         turn = stated.read(rotation_from_quaternion(*map(float, cells[5:])), cells[1])
-        turn = wanted.written(turn, cells[1])
+        turn = wanted.convert_for_file(turn, cells[1])
         turn = turn if written.startswith("camera") else turn.inv()
         rows.append(",".join([*cells[:5], *map(str, quaternion_from_rotation(turn))]))
     truth.write_text("\n".join([header, *rows]) + "\n")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from catalog.files import replacing_folder
+from catalog.files import replace_folder
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation
 from optnav_cli.frames.tables import ATTITUDES, CYLINDER, QUATERNION
 from optnav_cli.main import run
@@ -24,7 +24,7 @@ def made_run(path: Path, kind: str, table, name: str, rows, inputs=None) -> Path
     from datetime import UTC as zone
     from datetime import datetime
 
-    with replacing_folder(path, kind) as place:
+    with replace_folder(path, kind) as place:
         table.write(place / name, rows)
         write_manifest(
             place, kind, command=kind, options={}, inputs=inputs or {}, results={},

@@ -36,7 +36,7 @@ MOON = load_body("moon")
 MOTION = AnalyticEphemeris(MOON)
 START_S = 8.2e8
 SUN = np.array([1.0, 0.0, 0.0])
-MARKS = OutlineMarks.of_disc(np.array([31.5, 31.5]))
+MARKS = OutlineMarks.mark_disc(np.array([31.5, 31.5]))
 WIDE = Camera("wide", "pinhole", 64, 64, 100.0, (31.5, 31.5))
 NARROW = Camera("narrow", "pinhole", 64, 64, 1000.0, (31.5, 31.5))
 PICTURE = Picture(np.zeros((64, 64), dtype=np.float32), 255.0)

@@ -16,9 +16,9 @@ from catalog.store.geopackage import (
     UNDATED,
     FeatureLayer,
     describe_geopackage,
-    new_geopackage,
-    parts_geometry,
-    style_qml,
+    encode_parts,
+    format_style,
+    open_new_geopackage,
 )
 from optnav_cli.main import run as optnav
 from optnav_cli.navigate.gis_layers import export_run, footprint_of
@@ -188,11 +188,11 @@ def test_areas_of_any_view_are_valid(tmp_path):
         turns = rng.normal(0.0, 30.0), rng.normal(0.0, 30.0), rng.uniform(0.0, 360.0)
         position, turn = looking(lat, rng.uniform(-180.0, 180.0), distance, *turns)
         pieces = [p for r in footprint_of(camera, position, turn, MOON) for p in split_area(r)]
-        geometry = parts_geometry("MULTIPOLYGON", pieces, 30100)
+        geometry = encode_parts("MULTIPOLYGON", pieces, 30100)
         if geometry is not None:
             features.append(((len(features) + 1, geometry), None))
-    layer = FeatureLayer("areas", "MULTIPOLYGON", "", (), style_qml())
-    with new_geopackage(tmp_path / "areas.gpkg") as db:
+    layer = FeatureLayer("areas", "MULTIPOLYGON", "", (), format_style())
+    with open_new_geopackage(tmp_path / "areas.gpkg") as db:
         describe_geopackage(db, "moon", MOON[0], UNDATED)
         layer.create(db)
         layer.register(db, 30100, layer.fill(db, features), UNDATED)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from catalog.errors import DataError
-from catalog.files import hash_file, made_by_optnav
+from catalog.files import hash_file, is_made_by_optnav
 from optnav_cli.output.manifest import hash_files, read_manifest, write_manifest
 
 STARTED = datetime(2024, 5, 6, 7, 8, 9, tzinfo=UTC)
@@ -36,8 +36,8 @@ def test_hashes_are_sha256(tmp_path):
 def test_a_manifest_marks_its_folder_and_names_versions(tmp_path):
     write(tmp_path)
     manifest = read_manifest(tmp_path)
-    assert made_by_optnav(tmp_path, "run")
-    assert not made_by_optnav(tmp_path, "pictures")
+    assert is_made_by_optnav(tmp_path, "run")
+    assert not is_made_by_optnav(tmp_path, "pictures")
     assert manifest["versions"]["numpy"] == version("numpy")
     assert manifest["started_utc"] == "2024-05-06T07:08:09Z"
     assert manifest["options"]["catalog"] == "moon.gpkg"
@@ -55,7 +55,7 @@ def test_two_manifests_of_the_same_run_differ_only_in_times(tmp_path):
 @pytest.mark.parametrize("text", ["{", "[]", '{"made_by": "npm"}'])
 def test_a_foreign_or_damaged_manifest_is_refused(tmp_path, text):
     (tmp_path / "manifest.json").write_text(text)
-    assert not made_by_optnav(tmp_path, "run")
+    assert not is_made_by_optnav(tmp_path, "run")
     with pytest.raises(DataError, match=r"manifest\.json"):
         read_manifest(tmp_path)
 

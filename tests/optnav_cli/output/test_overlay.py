@@ -182,7 +182,7 @@ def test_a_limb_is_drawn_with_its_fit_and_what_was_left_out():
 @pytest.mark.parametrize("centre", [(100.0, 120.0), (900.0, 120.0), (500.0, 950.0)])
 def test_a_small_outline_is_shown_enlarged_away_from_it(centre):
     picture = np.zeros((1000, 1000), np.float32)
-    disc = OutlineMarks.of_disc(np.array(centre))
+    disc = OutlineMarks.mark_disc(np.array(centre))
     cv2.circle(picture, (int(centre[0]), int(centre[1])), 9, 200.0, -1)
     image = draw_overlay(scale_to_eight_bits(picture), unsolved("a.png", "", ""), [], marks=disc)
     assert near(image, centre[0] + 20, centre[1], DISC, 3) < 60

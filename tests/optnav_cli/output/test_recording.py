@@ -236,7 +236,7 @@ def test_the_outline_is_recorded_with_its_fit(tmp_path):
     corners = np.array([[10.0, 5.0], [11.0, 5.0], [12.0, 5.0], [13.0, 5.0]])
     down = np.tile([0.0, 1.0], (4, 1))
     limb = OutlineMarks(corners, down, np.array([0.5, 0.5, np.nan, 0.5]))
-    disc = OutlineMarks.of_disc(np.array([30.0, 40.0]))
+    disc = OutlineMarks.mark_disc(np.array([30.0, 40.0]))
     with Recording(tmp_path / "run.mcap", MOON) as recording:
         for marks in (limb, disc):
             recording.add_frame(unsolved("b.png", UTC, ""), (), UNK, marks=marks)

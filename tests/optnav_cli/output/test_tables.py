@@ -132,9 +132,9 @@ def test_the_inertial_attitude_is_the_body_attitude_times_the_bodys_rotation(tmp
     """Half a lunar month apart the same body attitude is written about half a turn apart."""
     rotation = Rotation.random(rng=np.random.default_rng(5))
     attitude = FileAttitude("camera_from_inertial", moon)
-    one = attitude.written(rotation, "2023-08-01T00:00:00Z")
+    one = attitude.convert_for_file(rotation, "2023-08-01T00:00:00Z")
     # 13.66083 days is half the sidereal month of 27.32166 days.
-    other = attitude.written(rotation, "2023-08-14T15:51:35Z")
+    other = attitude.convert_for_file(rotation, "2023-08-14T15:51:35Z")
     assert np.degrees((one.inv() * other).magnitude()) == pytest.approx(180.0, abs=0.2)
 
 

@@ -15,7 +15,7 @@ from catalog.progress import SilentProgress
 from optnav_cli.control_points.settings import NavigateSettings, PickedSettings
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder
-from optnav_cli.frames.points import places_of
+from optnav_cli.frames.points import locate_points
 from optnav_cli.frames.run_settings import PointsSettings
 from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs
@@ -81,11 +81,11 @@ def test_geodetic_places_are_those_of_pyproj():
     body, rng = load_body("earth"), np.random.default_rng(0)
     latlon = np.column_stack([rng.uniform(-89, 89, 50), rng.uniform(-179, 179, 50)])
     heights = rng.uniform(-400.0, 8000.0, 50)
-    ours = places_of(latlon, heights, body, PointsSettings("geodetic", "ellipsoid"))
+    ours = locate_points(latlon, heights, body, PointsSettings("geodetic", "ellipsoid"))
     to_xyz = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
     theirs = np.column_stack(to_xyz.transform(latlon[:, 1], latlon[:, 0], heights))
     assert np.abs(ours - theirs).max() < 1e-3
-    above = places_of(latlon, heights - 9000.0, body, PointsSettings("geodetic", "sphere"))
+    above = locate_points(latlon, heights - 9000.0, body, PointsSettings("geodetic", "sphere"))
     assert np.allclose(np.linalg.norm(above, axis=1), body.radius_m + heights - 9000.0)
 
 

@@ -69,7 +69,7 @@ def test_noise_of_the_acceleration_grows_as_it_should() -> None:
     track = InertialSettings(0.0, 0.0, 0.02, 0.0, 0.0, 0.0)
     ends = [track_errors(track, times, seed)[0][-1] for seed in range(300)]
     assert np.std(ends) == pytest.approx(0.02 * 100.0**1.5 / np.sqrt(3.0), rel=0.08)
-    assert track.row_sigmas(100.0)[0] == pytest.approx(0.02 * 100.0**1.5 / np.sqrt(3.0))
+    assert track.compute_row_sigmas(100.0)[0] == pytest.approx(0.02 * 100.0**1.5 / np.sqrt(3.0))
 
 
 def test_pairs_of_heights_and_spacings_are_flown() -> None:

@@ -16,7 +16,7 @@ from catalog.geometry.rotations import ARCSEC
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.picture import load_picture
-from optnav_cli.reasons import ReasonCode, longer
+from optnav_cli.reasons import ReasonCode, describe_length
 from optnav_cli.stars.identify import StarIdentifier
 from optnav_cli.stars.sky import SkyView, find_star_attitude
 from optnav_cli.stars.spots import StarSpots, find_spots
@@ -121,7 +121,7 @@ def test_a_mirrored_picture_is_said_to_be_mirrored():
 def test_a_focal_length_wrong_by_up_to_ten_per_cent_is_named(factor):
     error = refusal(drawn_sky(ORION, CAMERA.with_focal_factor(factor)))
     assert error.code == ReasonCode.WRONG_LENS
-    assert longer(factor - 1.0) in str(error)
+    assert describe_length(factor - 1.0) in str(error)
 
 
 def test_trailed_stars_are_named():

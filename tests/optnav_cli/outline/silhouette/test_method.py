@@ -17,7 +17,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Method
 from optnav_cli.frames.picture import Picture
-from optnav_cli.frames.segmentation import Segmented, measure_levels, without_smear
+from optnav_cli.frames.segmentation import Segmented, measure_levels, remove_smear
 from optnav_cli.outline.neighbour import CameraView
 from optnav_cli.outline.one_body import solve
 from optnav_cli.outline.silhouette import method as silhouette
@@ -122,12 +122,12 @@ def test_a_body_that_two_edges_cut_is_no_smear() -> None:
     values = picture().values
     rows = np.flatnonzero((values > 30.0).any(axis=1))
     cut = values[rows[0] + 40 : rows[-1] - 40]
-    assert without_smear(np.ascontiguousarray(cut), measure_levels(cut)) is None
-    assert without_smear(values, measure_levels(values)) is None
+    assert remove_smear(np.ascontiguousarray(cut), measure_levels(cut)) is None
+    assert remove_smear(values, measure_levels(values)) is None
     lit_end = values.copy()
     lit_end[-4:] = 200.0
     lit_end[:4, :40] = 200.0
-    assert without_smear(lit_end, measure_levels(lit_end)) is None
+    assert remove_smear(lit_end, measure_levels(lit_end)) is None
 
 
 @pytest.mark.parametrize("wrong", ["mirrored", "turned", "lit from elsewhere"])
