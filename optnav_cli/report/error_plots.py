@@ -158,7 +158,7 @@ def _order_by_time(rows: list[ErrorRow]) -> tuple[list[ErrorRow], FloatArray, Fl
 def plot_errors(run: RunFolder, stated: bool = False) -> list[Markup]:
     """Plot a run with a solved frame; without a truth, what its solutions state.
 
-    Raises and `stated` as for `frames_of`.
+    Raises and `stated` as for `collect_frames`.
     """
     frames = collect_frames(run, stated)
     keys = Markup().join(draw_key_mark(e.series, e.shape, e.words) for e in _list_legend(frames))
