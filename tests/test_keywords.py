@@ -15,8 +15,8 @@ from catalog.keywords import Keyword, Keywords, check_keywords
 # Modules with a table KEYWORDS. A test of each reader feeds it a file with every refused keyword.
 READERS: tuple[str, ...] = (
     "catalog.bodies.daf",
-    "catalog.bodies.star_catalog",
-    "catalog.terrain.dem.label_keywords",
+    "catalog.bodies.stars",
+    "catalog.terrain.dem.label",
     "optnav_cli.frames.fits_picture",
     "optnav_cli.archives.isis_keywords",
     "optnav_cli.archives.label_keywords",

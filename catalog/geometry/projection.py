@@ -102,7 +102,7 @@ class Stereographic:
     def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
         """Body-fixed points (..., 3), m, of map points x, y and heights above the sphere."""
         # a command that only lists points need not wait for the compiler to load
-        from catalog.geometry.map_points import compute_map_points
+        from catalog.geometry.grid import compute_map_points
 
         x, y, height = np.broadcast_arrays(x, y, height)
         east, north, above = (np.ravel(part).astype(np.float64) for part in (x, y, height))
@@ -111,7 +111,7 @@ class Stereographic:
 
     def nodes(self, heights: Float32Array, posting_m: float) -> FloatArray:
         """Body-fixed points (n, n, 3), m, of a centred grid of heights (n, n), north up."""
-        from catalog.geometry.map_points import compute_node_points
+        from catalog.geometry.grid import compute_node_points
 
         offsets = make_node_offsets(len(heights), posting_m)
         return compute_node_points(offsets, heights, self.radius_m, self.body_from_local)

@@ -14,8 +14,8 @@ from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.errors import DataError, NothingToDoError
 from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.terrain.dem.height_sample import HeightSample
 from catalog.terrain.dem.source import DemSource
+from catalog.terrain.dem.validity import HeightSample
 
 DANGEROUS_DEG, CRITICAL_DEG = 7.0, 15.0
 BASE_M = 3.0  # the feet of a lander stand so far apart

@@ -19,8 +19,7 @@ import cv2
 import numpy as np
 
 from catalog.arrays import ByteArray, FloatArray
-from catalog.bodies.star_catalog import read_star_catalog
-from catalog.bodies.stars import BrightStars, load_bright_stars
+from catalog.bodies.stars import BrightStars, load_bright_stars, read_star_catalog
 from catalog.cache import Cache
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher

@@ -9,8 +9,7 @@ import numpy as np
 
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.star_catalog import read_star_catalog
-from catalog.bodies.stars import BrightStars, load_bright_stars
+from catalog.bodies.stars import BrightStars, load_bright_stars, read_star_catalog
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.files import hash_file, replace_folder
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation

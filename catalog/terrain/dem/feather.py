@@ -13,9 +13,8 @@ import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
-from catalog.terrain.pyramid.level_window import TileCache, find_mirrored_poles
 from catalog.terrain.pyramid.overviews import WHOLE_BLOCK
-from catalog.terrain.pyramid.pyramid import HeightPyramid
+from catalog.terrain.pyramid.pyramid import HeightPyramid, TileCache, find_mirrored_poles
 from catalog.terrain.sampling.map_nodes import Pixels
 
 TILE = 64  # blocks a side

@@ -21,8 +21,7 @@ from catalog.bodies.body import Body
 from catalog.config import BUNDLED, resource
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.kernel import kernel
-from catalog.terrain.dem.crs import orient_eastward
-from catalog.terrain.dem.georeference import Georeference, make_georeference
+from catalog.terrain.dem.georeference import Georeference, make_georeference, orient_eastward
 from catalog.terrain.dem.label import read_map_label
 
 # A CRS made for another body is off by tens of percent; spheres of one body differ by less.

@@ -22,8 +22,7 @@ from catalog.geometry.projection import MapProjection, Stereographic
 from catalog.terrain.dem.feather import Feather
 from catalog.terrain.dem.georeference import CYLINDRICAL, Georeference
 from catalog.terrain.dem.source import DemSettings
-from catalog.terrain.pyramid.level_window import LevelWindows, tile_cache
-from catalog.terrain.pyramid.pyramid import HeightPyramid
+from catalog.terrain.pyramid.pyramid import HeightPyramid, LevelWindows, tile_cache
 from catalog.terrain.sampling.footprint import sample_level
 from catalog.terrain.sampling.graticule_heights import sample_by_blocks, sample_by_weights
 from catalog.terrain.sampling.map_nodes import Pixels, locate_grid, locate_points

@@ -33,9 +33,8 @@ from catalog.terrain.dem.file import (
     resolve_path,
 )
 from catalog.terrain.dem.georeference import Georeference, iterate_column_spans
-from catalog.terrain.dem.height_sample import HeightSample, find_shared_end
 from catalog.terrain.dem.label import MapLabel, read_map_label
-from catalog.terrain.dem.validity import Validity, list_unused_bands
+from catalog.terrain.dem.validity import HeightSample, Validity, find_shared_end, list_unused_bands
 
 log = logging.getLogger(__name__)
 

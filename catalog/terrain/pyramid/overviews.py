@@ -26,8 +26,8 @@ from catalog.geometry.kernel import kernel
 from catalog.progress import Progress
 from catalog.rasters import OWN, extract_gdal_reason, reopen_raster
 from catalog.terrain.dem.file import HEIGHTS, Conversion, is_height
-from catalog.terrain.dem.height_sample import HeightSample
 from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.dem.validity import HeightSample
 
 FORMAT = 3  # of the overview folder; another number means: make it again
 BLOCK = 256  # pixels a side of the overviews' tiles

@@ -1,6 +1,8 @@
 """A terrain model with its averaged overviews: area means at 2, 4, 8, ... times its posting.
 
 Level 0 is read from the file itself; the overviews are tiled GeoTIFFs in a folder of the workspace.
+
+Windows of a pyramid level that go on across ±180° and the poles; tiles in a bounded cache.
 """
 
 import math
@@ -15,11 +17,14 @@ from rasterio.windows import Window
 
 from catalog.arrays import BoolArray, Float32Array
 from catalog.bodies.body import Body
+from catalog.cache import Cache
 from catalog.errors import DataError, OutputError
 from catalog.files import decode_stored_json, replace_work_folder
+from catalog.geometry.kernel import kernel
 from catalog.progress import Progress, SilentProgress
 from catalog.rasters import OWN, handle_read_errors, reopen_raster
 from catalog.terrain.dem.file import HEIGHTS, Conversion
+from catalog.terrain.dem.georeference import Georeference, iterate_column_spans
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.pyramid.overviews import (
     FORMAT,
@@ -162,3 +167,162 @@ def _strip_presentation(settings: DemSettings) -> DemSettings:
 
 def _describe_damage(path: Path, folder: Path) -> str:
     return f"{path}: cannot be read; remove the folder {folder} to have it made again"
+
+
+TILE = 256  # pixels a side; whole tiles of the overviews
+CACHE_BYTES = 128 << 20  # 512 tiles: the ground of some 60 cells of 1° at 118 m, all levels
+READ_COLUMNS = 4096  # read at once when columns are averaged
+MIN_COLUMNS = 16  # left of a level whose columns are averaged
+
+
+TileCache = Cache[tuple[int, ...], Float32Array]
+
+
+def tile_cache() -> TileCache:
+    """A cache of tiles for all pyramids of a mosaic."""
+    return Cache(CACHE_BYTES, lambda tile: int(tile.nbytes))
+
+
+def find_mirrored_poles(place: Georeference) -> tuple[bool, bool]:
+    """Whether a raster's upper and lower edge are a pole, beyond which it goes on."""
+    edges = (-0.5, place.shape[0] - 0.5)
+    top, bottom = (place.find_pole(edge, POLE_TOLERANCE) != 0 for edge in edges)
+    return top, bottom
+
+
+class LevelWindows:
+    """One level of a pyramid, going on across ±180° and the poles.
+
+    Its columns are averaged 2^halvings at a time.
+    """
+
+    def __init__(
+        self,
+        index: int,
+        pyramid: HeightPyramid,
+        level: int,
+        cache: TileCache,
+        base: "LevelWindows | None" = None,
+        halvings: int = 0,
+    ) -> None:
+        self.index, self.pyramid, self.level, self.cache = index, pyramid, level, cache
+        self.halvings = halvings
+        self._base = base or self
+        self._halved = {0: self} if base is None else {}
+        georeference = pyramid.source.georeference
+        self.raster_shape = georeference.shape
+        rows, cols = pyramid.shape(level)
+        full_turn = georeference.wraps and cols << level == georeference.shape[1]
+        cols = -(-cols >> halvings)
+        self.shape = rows, cols
+        self.scale = 2.0**level
+        self.squeeze = 2.0**halvings
+        self.period = georeference.period / (self.scale * self.squeeze)
+        # mirroring needs an edge exactly at the pole and a column half a turn away
+        even = full_turn and cols % 2 == 0 and rows << level == georeference.shape[0]
+        self.wraps = full_turn
+        top, bottom = find_mirrored_poles(georeference)
+        self.mirrors_top, self.mirrors_bottom = even and top, even and bottom
+        self.most_halvings = 0
+        # halvings leave some columns, and an even number of whole ones in a ring
+        while base is None and cols >= 2 * MIN_COLUMNS and not (full_turn and cols % 4):
+            cols, self.most_halvings = -(-cols // 2), self.most_halvings + 1
+
+    def get_halved(self, halvings: int) -> "LevelWindows":
+        """Return this level with columns averaged 2^halvings at a time."""
+        if halvings not in self._halved:
+            self._halved[halvings] = LevelWindows(
+                self.index, self.pyramid, self.level, self.cache, self, halvings
+            )
+        return self._halved[halvings]
+
+    def window(self, row0: int, col0: int, height: int, width: int) -> Float32Array:
+        """Heights (height, width); NaN where the level has none.
+
+        Rows beyond a pole are those of the meridian on its other side.
+        """
+        rows, cols = self.shape
+        out = np.empty((height, width), np.float32)
+        across = self.wraps or 0 <= col0 <= cols - width
+        if not (across and 0 <= row0 <= rows - height):  # else all of it is filled
+            out[:] = np.nan
+        top = min(max(-row0, 0), height)
+        bottom = max(min(rows - row0, height), top)
+        self._fill(out[top:bottom], row0 + top, col0)
+        if top > 0 and self.mirrors_top:
+            # row -1 is row 0 seen from the other side
+            mirrored = np.full((top, width), np.nan, dtype=np.float32)
+            self._fill(mirrored, -(row0 + top - 1) - 1, col0 + cols // 2)
+            out[:top] = mirrored[::-1]
+        if bottom < height and self.mirrors_bottom:
+            mirrored = np.full((height - bottom, width), np.nan, dtype=np.float32)
+            self._fill(mirrored, 2 * rows - (row0 + height), col0 + cols // 2)
+            out[bottom:] = mirrored[::-1]
+        return out
+
+    def _fill(self, out: Float32Array, row0: int, col0: int) -> None:
+        """Copy from tiles into `out`, whose rows lie inside the raster; columns wrap."""
+        rows, cols = self.shape
+        height, width = out.shape
+        for at, col, count in iterate_column_spans(col0, width, cols, self.wraps, TILE):
+            along, inner = divmod(col, TILE)
+            row = max(row0, 0)
+            while row < min(row0 + height, rows):
+                down, inner_row = divmod(row, TILE)
+                lines = min(row0 + height - row, TILE - inner_row, rows - row)
+                tile = self._tile(down, along)
+                out[row - row0 : row - row0 + lines, at : at + count] = tile[
+                    inner_row : inner_row + lines, inner : inner + count
+                ]
+                row += lines
+
+    def _tile(self, down: int, along: int) -> Float32Array:
+        """Tile (down, along); shorter at the raster's far edges."""
+        key = (self.index, self.level, self.halvings, down, along)
+        return self.cache.get(key, lambda: self._make(down, along))
+
+    def _make(self, down: int, along: int) -> Float32Array:
+        rows, cols = self.shape
+        row, col = down * TILE, along * TILE
+        height, width = min(TILE, rows - row), min(TILE, cols - col)
+        if self.halvings == 0:
+            return self.pyramid.read(self.level, row, col, height, width)
+        out = np.empty((height, width), np.float32)
+        if self.halvings > self._base.find_least_halvings(down):
+            finer = self._base.get_halved(self.halvings - 1)
+            for part in range(2 * along, min(2 * along + 2, -(-finer.shape[1] // TILE))):
+                at = (part - 2 * along) * (TILE // 2)
+                HEIGHTS.average_columns(finer._tile(down, part), 2, out[:, at : at + TILE // 2])
+            return out
+        # straight from the level: what lies between is not used elsewhere
+        many = 1 << self.halvings
+        step = max(1, READ_COLUMNS >> self.halvings)
+        last = self._base.shape[1]
+        for at in range(0, width, step):
+            first = (col + at) * many
+            count = min(min(step, width - at) * many, last - first)
+            raw, convert = self.pyramid.read_raw(self.level, row, first, height, count)
+            convert.average_columns(raw, many, out[:, at : at + step])
+        return out
+
+    def find_least_halvings(self, down: int) -> int:
+        """The fewest halvings that any footprint in a row of tiles needs, but for rare ones.
+
+        Footprints are about as high as the level's rows, half as high at the finest level.
+        """
+        georeference = self.pyramid.source.georeference
+        edges = np.array([down * TILE, min((down + 1) * TILE, self.shape[0])]) * self.scale - 0.5
+        lat, _ = georeference.latlon_from_pixel(np.zeros(2), edges)
+        wide = (1.0 if self.level else 0.5) * float(
+            georeference.columns_per_posting(1.0, lat).min()
+        )
+        return int(count_halvings(wide, self.most_halvings))
+
+
+@kernel
+def count_halvings(wide: float, most: int) -> int:
+    """Count the halvings of columns under a footprint `wide` columns wide: 1.5 to 3 are left."""
+    count = 0
+    while wide >= 3.0 and count < most:
+        wide, count = wide * 0.5, count + 1
+    return count

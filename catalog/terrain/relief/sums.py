@@ -19,8 +19,8 @@ from catalog.errors import DataError
 from catalog.geometry.kernel import kernel
 from catalog.progress import Progress, SilentProgress
 from catalog.terrain.dem.georeference import CYLINDRICAL, Georeference
-from catalog.terrain.dem.height_sample import HeightSample
 from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.dem.validity import HeightSample
 from catalog.terrain.error_model import StatedError, TerrainErrorModel
 from catalog.terrain.relief.relief import GlobalRelief
 

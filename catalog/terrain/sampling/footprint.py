@@ -13,7 +13,7 @@ import numpy as np
 from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, IntArray
 from catalog.geometry.grid import cubic_weights, interpolate_bicubic, sample_rows
 from catalog.geometry.kernel import kernel
-from catalog.terrain.pyramid.level_window import LevelWindows, count_halvings
+from catalog.terrain.pyramid.pyramid import LevelWindows, count_halvings
 from catalog.terrain.sampling.map_nodes import Pixels
 
 # Columns averaged into one node. Beyond it (the last postings about a pole) samples are spread:

@@ -13,8 +13,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.geometry.cells import Graticule, Part
 from catalog.geometry.kernel import inplace_kernel, kernel
-from catalog.terrain.pyramid.level_window import LevelWindows, count_halvings
-from catalog.terrain.pyramid.pyramid import HeightPyramid
+from catalog.terrain.pyramid.pyramid import HeightPyramid, LevelWindows, count_halvings
 from catalog.terrain.sampling.footprint import MAX_COLUMNS, MAX_ROWS, add_weights, count_samples
 
 BLOCK = 128  # nodes a side: points are read by whole blocks, for any part

@@ -6,8 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalog.bodies.star_catalog import EPOCHS, GAIA, KEYWORDS, NAMES, read_star_catalog
-from catalog.bodies.stars import MAS, load_bright_stars
+from catalog.bodies.stars import (
+    EPOCHS,
+    GAIA,
+    KEYWORDS,
+    MAS,
+    NAMES,
+    load_bright_stars,
+    read_star_catalog,
+)
 from catalog.errors import DataError
 
 HEAD = "ra_deg,dec_deg,pm_ra_mas_yr,pm_dec_mas_yr,mag"

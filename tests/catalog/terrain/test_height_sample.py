@@ -8,8 +8,8 @@ from scipy.ndimage import gaussian_filter
 
 from catalog.config import resource
 from catalog.errors import DataError
-from catalog.terrain.dem.height_sample import HeightSample, find_shared_end
 from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.dem.validity import HeightSample, find_shared_end
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 from catalog.terrain.relief.sums import build_relief
 from catalog.terrain.slopes import summarise_slopes

@@ -7,8 +7,8 @@ import rasterio
 from rasterio.transform import Affine
 
 from catalog.errors import DataError
-from catalog.terrain.dem.crs import orient_eastward
-from catalog.terrain.dem.label_keywords import KEYWORDS
+from catalog.terrain.dem.georeference import orient_eastward
+from catalog.terrain.dem.label import KEYWORDS
 from catalog.terrain.dem.source import DemSettings, DemSource
 from tests.catalog.terrain.maps import isis_cube, pds3_map, pds4_map
 

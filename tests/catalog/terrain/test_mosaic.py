@@ -297,7 +297,7 @@ def test_a_pickled_mosaic_reads_the_same(tmp_path, dems, moon):
 
 def test_the_tile_cache_stays_within_its_bound(tmp_path, dems, moon, monkeypatch):
     path = dems.write(tmp_path / "globe.tif", dems.smooth_grid(1024).astype(np.float32))
-    monkeypatch.setattr("catalog.terrain.pyramid.level_window.CACHE_BYTES", 1 << 20)
+    monkeypatch.setattr("catalog.terrain.pyramid.pyramid.CACHE_BYTES", 1 << 20)
     mosaic = mosaic_of(moon, tmp_path, path)
     lat, lon = on_the_sphere(np.random.default_rng(11), 300)
     monkeypatch.setattr("catalog.terrain.sampling.footprint.MAX_WINDOW", 1 << 16)
