@@ -164,11 +164,11 @@ class OrbitArc:
         state = np.concatenate([last.position_m, self._first_velocity(speed)])
         velocity = VectorPrior(3, np.zeros(3), np.full(3, speed), 6)
         fixes = FixesModel(self._model, self._fixes)
-        found = solve([fixes, velocity], state, add, ITERATION)
+        estimate = solve([fixes, velocity], state, add, ITERATION)
         # three measurements a fix and three of the velocity's size, six unknowns
-        if found.cost > chdtri(found.degrees_of_freedom, GATE_PROBABILITY):
+        if estimate.cost > chdtri(estimate.degrees_of_freedom, GATE_PROBABILITY):
             raise _NO_ORBIT.error()
-        self._fitted = found.state, found.covariance
+        self._fitted = estimate.state, estimate.covariance
         return self._fitted
 
     def _first_velocity(self, speed: float) -> FloatArray:
@@ -180,8 +180,12 @@ class OrbitArc:
             scatter = np.trace(last.covariance_m2 + earlier.covariance_m2) / gap**2
             if scatter < (0.1 * speed) ** 2 and float(np.linalg.norm(chord)) < 2.0 * speed:
                 # the chord's velocity is that of its middle; the pull since then turns it
-                away = last.position_m
-                pull = -(self._model.circular_speed(away) ** 2) * away / float(away @ away)
+                position = last.position_m
+                pull = (
+                    -(self._model.circular_speed(position) ** 2)
+                    * position
+                    / float(position @ position)
+                )
                 return chord + pull * gap / 2.0
         return np.zeros(3)
 

@@ -123,11 +123,11 @@ class Forces:
         "thrust_1", the acceleration along R, N, B of the first arc of thrust.
         """
         sunlight = self.settings.sunlight
-        found = {
+        parameters = {
             ACCELERATION: np.zeros(3),
             SUNLIGHT: np.array([0.0 if sunlight is None else sunlight.strength_m2_kg]),
         }
-        return found | {f"{THRUST}{k}": arc[2] for k, arc in enumerate(self._thrusts, start=1)}
+        return parameters | {f"{THRUST}{k}": arc[2] for k, arc in enumerate(self._thrusts, start=1)}
 
     def world(
         self, from_s: float, last_s: float, sunlight: float, *, sees_sunlight: bool
@@ -184,8 +184,8 @@ class Forces:
     def densities(self, positions_m: FloatArray) -> FloatArray:
         """(n,) spectral densities of what is left out at places (n, 3); see `Unmodelled`."""
         sigmas, lasting = self._unmodelled(np.linalg.norm(positions_m, axis=1))
-        found: FloatArray = 2.0 * sigmas**2 * lasting
-        return found
+        spectral: FloatArray = 2.0 * sigmas**2 * lasting
+        return spectral
 
     def _unmodelled(self, distances_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         n, _, pulls = self._left_out
@@ -207,8 +207,8 @@ class Forces:
     def tide_error_m_s2(self, positions_m: FloatArray) -> FloatArray:
         """(...) of a planet's tide at places (..., 3): what is wrong with it for hours, 1 sigma an
         axis; 0 without one."""
-        found: FloatArray = self._tide_error * np.linalg.norm(positions_m, axis=-1)
-        return found
+        error: FloatArray = self._tide_error * np.linalg.norm(positions_m, axis=-1)
+        return error
 
     def _coefficients_left_out(
         self, *, known: bool, whole: bool = True
@@ -302,9 +302,9 @@ class OrbitMotion:
         first = np.zeros(6 + 6 * (6 + len(columns[0])))
         first[:6] = state
         first[6:].reshape(6, -1)[:, :6] = np.eye(6)
-        found = self._paths(first, from_s, to_s, columns)
-        derivatives = found[:, 6:].reshape(len(found), 6, -1)
-        return found[:, :6], derivatives[:, :, :6], derivatives[:, :, 6:]
+        paths = self._paths(first, from_s, to_s, columns)
+        derivatives = paths[:, 6:].reshape(len(paths), 6, -1)
+        return paths[:, :6], derivatives[:, :, :6], derivatives[:, :, 6:]
 
     def legs(
         self,
@@ -324,16 +324,16 @@ class OrbitMotion:
         first[:, 6:].reshape(len(states), 6, -1)[:, :, :6] = np.eye(6)
         if len(self._forces.switches):
             parts = np.split(to_s, np.cumsum(counts)[:-1])
-            found = np.concatenate(
+            paths = np.concatenate(
                 [
-                    self._path(one, float(since), to - since, columns)
-                    for one, since, to in zip(first, from_s, parts, strict=True)
+                    self._path(start, float(since), to - since, columns)
+                    for start, since, to in zip(first, from_s, parts, strict=True)
                 ]
             )
         else:
-            found = self._legs(first, from_s, (to_s, counts), columns)
-        derivatives = found[:, 6:].reshape(len(found), 6, -1)
-        return found[:, :6], derivatives[:, :, :6], derivatives[:, :, 6:]
+            paths = self._legs(first, from_s, (to_s, counts), columns)
+        derivatives = paths[:, 6:].reshape(len(paths), 6, -1)
+        return paths[:, :6], derivatives[:, :, :6], derivatives[:, :, 6:]
 
     def states(self, state: FloatArray, from_s: float, to_s: FloatArray) -> FloatArray:
         """As `propagate`, without the derivatives, in five sixths of the time."""
@@ -348,17 +348,17 @@ class OrbitMotion:
     ) -> FloatArray:
         """(n, k) of a path from `first` (k,) to times in any order, to either side."""
         since = np.asarray(to_s, dtype=np.float64) - from_s
-        found = np.empty((len(since), len(first)))
-        found[:] = first
+        paths = np.empty((len(since), len(first)))
+        paths[:] = first
         for side in (since > 0.0, since < 0.0):
             if len(since) == 1 and side[0]:
-                found = self._path(first, from_s, since, columns)
+                paths = self._path(first, from_s, since, columns)
             elif side.any():
-                times, place = np.unique(since[side], return_inverse=True)
+                times, index = np.unique(since[side], return_inverse=True)
                 order = slice(None, None, -1 if times[0] < 0.0 else 1)
                 path = self._path(first, from_s, times[order], columns)[order]
-                found[side] = path[place]
-        return found
+                paths[side] = path[index]
+        return paths
 
     def noise(self, state: FloatArray, seconds: float) -> FloatArray:
         """Covariance (6, 6) that the forces left out add in a time.
@@ -387,9 +387,9 @@ class OrbitMotion:
 
     def radians_s(self, positions_m: FloatArray) -> FloatArray:
         """The same (n,) of places (n, 3)."""
-        own = self._forces.gm / np.linalg.norm(positions_m, axis=1) ** 3
-        found: FloatArray = 1.0 / np.sqrt(own + self._forces.planet_rate**2)
-        return found
+        squared_rates = self._forces.gm / np.linalg.norm(positions_m, axis=1) ** 3
+        durations: FloatArray = 1.0 / np.sqrt(squared_rates + self._forces.planet_rate**2)
+        return durations
 
     def _columns(self, parameters: Sequence[str]) -> tuple[IntArray, list[str]]:
         """Of each component of parameters: what it acts along, and whose it is."""

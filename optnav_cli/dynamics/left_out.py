@@ -60,8 +60,8 @@ def forces_left_out(forces: Forces, state: FloatArray, tdb_s: float, span_s: flo
     Accelerations that turn with the motion move a craft for a radian of it, and then by the speed
     that they gave: half a t^2 at first, a t / rate later.
     """
-    body, place = forces.motion.body, state[:3]
-    distance = float(np.linalg.norm(place))
+    body, position = forces.motion.body, state[:3]
+    distance = float(np.linalg.norm(position))
     rate = float(np.sqrt(forces.gm / distance**3))
 
     def sized(what: str, acceleration: float) -> str:
@@ -69,21 +69,21 @@ def forces_left_out(forces: Forces, state: FloatArray, tdb_s: float, span_s: flo
         length = f"{moved / 1e3:.3g} km" if moved >= 1e3 else f"{moved:.2g} m"
         return f"{what}, {acceleration:.1g} m/s2 or {length} over the arc"
 
-    found = []
+    remarks = []
     if gravity_remark(body, forces.settings):
         pull = 1.5 * forces.gm * body.radius_m**2 / distance**4
-        found.append(
+        remarks.append(
             sized(f"J2 of {body.name}, of which no field is known", unknown_j2(body) * pull)
         )
     beyond = f"the field beyond degree {forces.field.degree}"
-    found.append(sized(beyond, forces.unmodelled(place).sigma_m_s2))
+    remarks.append(sized(beyond, forces.unmodelled(position).sigma_m_s2))
     if forces.settings.sunlight is None:
         sun = float(np.linalg.norm(forces.motion.position_m("sun", tdb_s)))
         pressure = TYPICAL_M2_KG * SUNLIGHT_N_M2 * (AU_M / sun) ** 2
-        found.append(sized(f"sunlight on {TYPICAL_M2_KG:g} m2/kg", pressure))
+        remarks.append(sized(f"sunlight on {TYPICAL_M2_KG:g} m2/kg", pressure))
     if body.atmosphere is not None:
-        found.append(f"the drag of {body.name}'s air")
+        remarks.append(f"the drag of {body.name}'s air")
     planets = () if body.orbit is None else (body.orbit.around,)
     known = (*NEIGHBOURS.get(body.name, ()), *planets, "Sun")
-    found.append(f"bodies other than {', '.join(dict.fromkeys(known))}")
-    return found
+    remarks.append(f"bodies other than {', '.join(dict.fromkeys(known))}")
+    return remarks

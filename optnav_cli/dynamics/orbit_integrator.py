@@ -93,9 +93,9 @@ def _turning(state: FloatArray, axes: FloatArray, thrust: FloatArray, out: Float
     """Add to `out` (3, 6) how an acceleration along R, N, B turns with the state."""
     if thrust[0] == 0.0 and thrust[1] == 0.0 and thrust[2] == 0.0:
         return
-    place, speed = state[:3], state[3:6]
-    r = math.sqrt(place[0] ** 2 + place[1] ** 2 + place[2] ** 2)
-    hx, hy, hz = _cross(place, speed)
+    position, speed = state[:3], state[3:6]
+    r = math.sqrt(position[0] ** 2 + position[1] ** 2 + position[2] ** 2)
+    hx, hy, hz = _cross(position, speed)
     h = math.sqrt(hx * hx + hy * hy + hz * hz)
     up, cross = axes[0], axes[2]
     step, d_up, d_cross = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -108,7 +108,7 @@ def _turning(state: FloatArray, axes: FloatArray, thrust: FloatArray, out: Float
             dx, dy, dz = _cross(step, speed)
         else:
             d_up[:] = 0.0
-            dx, dy, dz = _cross(place, step)
+            dx, dy, dz = _cross(position, step)
         d_cross[:] = 0.0
         if h > 0.0:
             along = dx * cross[0] + dy * cross[1] + dz * cross[2]
@@ -135,22 +135,22 @@ def acceleration(
     x, y, z = state[0], state[1], state[2]
     square = x * x + y * y + z * z
     factor = -world.gm / (square * math.sqrt(square))
-    turn, local, found = work[0:3], work[3], work[4]
+    turn, local, field_pull = work[0:3], work[3], work[4]
     turned(state, share, interval, world, turn, local)
-    pull(local, (world.gm, world.radius_m), world.pull_table, found)
+    pull(local, (world.gm, world.radius_m), world.pull_table, field_pull)
     for i in range(3):
         out[i] = factor * state[i]
         for j in range(3):
-            out[i] += turn[j, i] * found[j]
-    away, place = work[3], work[4]
+            out[i] += turn[j, i] * field_pull[j]
+    offset, centre = work[3], work[4]
     for n in range(world.gms.shape[0]):
-        far_cube, near_cube = neighbour(state, share, interval, n, world, place, away)
+        far_cube, near_cube = neighbour(state, share, interval, n, world, centre, offset)
         for i in range(3):
             # the body falls to its neighbour too: only the difference moves the craft about it
-            out[i] -= world.gms[n] * (away[i] / near_cube + place[i] / far_cube)
+            out[i] -= world.gms[n] * (offset[i] / near_cube + centre[i] / far_cube)
     # the Sun is the last of the neighbours
     if world.sunlight != 0.0:
-        _press(state, share, interval, world, away, work[5:8])
+        _press(state, share, interval, world, offset, work[5:8])
         for i in range(3):
             out[i] += world.sunlight * work[7, i]
     if thrust[0] != 0.0 or thrust[1] != 0.0 or thrust[2] != 0.0:
@@ -187,16 +187,16 @@ def slopes(
                 for b in range(3):
                     total += turn[a, i] * slope[a, b] * turn[b, j]
             out[i, j] += total
-    away, place = work[3], work[4]
+    offset, centre = work[3], work[4]
     for n in range(world.gms.shape[0]):
-        _, near_cube = neighbour(state, share, interval, n, world, place, away)
-        near = away[0] ** 2 + away[1] ** 2 + away[2] ** 2
+        _, near_cube = neighbour(state, share, interval, n, world, centre, offset)
+        near = offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2
         for i in range(3):
             out[i, i] -= world.gms[n] / near_cube
             for j in range(3):
-                out[i, j] += 3.0 * world.gms[n] * away[i] * away[j] / (near * near_cube)
+                out[i, j] += 3.0 * world.gms[n] * offset[i] * offset[j] / (near * near_cube)
     if world.sees_sunlight:
-        _press(state, share, interval, world, away, work[5:8])
+        _press(state, share, interval, world, offset, work[5:8])
         out[:, 9] = work[7]
     path_axes(state, work[5:8])
     out[:, 6:9] = work[5:8].T

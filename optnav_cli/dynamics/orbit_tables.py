@@ -102,9 +102,9 @@ class ArcTables:
         failed: DataError | None = None
         for begin in STENCILS:
             nodes = [self._node(interval + begin + number) for number in range(NODES)]
-            whole = [node for node in nodes if not isinstance(node, DataError)]
-            if len(whole) == NODES:
-                return begin, whole
+            covered = [node for node in nodes if not isinstance(node, DataError)]
+            if len(covered) == NODES:
+                return begin, covered
             inner = self._node(interval)
             failed = inner if isinstance(inner, DataError) else failed
             failed = failed or next(node for node in nodes if isinstance(node, DataError))
@@ -196,15 +196,15 @@ def _rotation(first: FloatArray, vector: FloatArray, out: FloatArray) -> None:
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
     if angle > 1e-4:
-        one, two = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+        sine_factor, cosine_factor = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
     else:
-        one, two = 1.0 - square / 6.0, 0.5 - square / 24.0
+        sine_factor, cosine_factor = 1.0 - square / 6.0, 0.5 - square / 24.0
     for column in range(3):
         a, b, c = first[0, column], first[1, column], first[2, column]
         p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
-        out[0, column] = a + one * p + two * (y * r - z * q)
-        out[1, column] = b + one * q + two * (z * p - x * r)
-        out[2, column] = c + one * r + two * (x * q - y * p)
+        out[0, column] = a + sine_factor * p + cosine_factor * (y * r - z * q)
+        out[1, column] = b + sine_factor * q + cosine_factor * (z * p - x * r)
+        out[2, column] = c + sine_factor * r + cosine_factor * (x * q - y * p)
 
 
 @kernel

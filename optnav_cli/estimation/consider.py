@@ -167,9 +167,9 @@ def _sandwich(
     values, vectors = np.linalg.eigh(left)
     root = vectors / np.sqrt(np.maximum(values, MIN_LEFT)) @ vectors.T
     pooled = np.trace(seen) / max(np.trace(left), 3.0 * MIN_LEFT)
-    own = 0.5 * (root @ seen @ root + pooled * np.eye(3))
-    own *= 1.0 + 2.0 / max(1.5 * windows - 3.0, MIN_FREEDOM)
-    values, vectors = np.linalg.eigh(0.5 * (own + own.T))
+    observed = 0.5 * (root @ seen @ root + pooled * np.eye(3))
+    observed *= 1.0 + 2.0 / max(1.5 * windows - 3.0, MIN_FREEDOM)
+    values, vectors = np.linalg.eigh(0.5 * (observed + observed.T))
     raised = vectors * np.maximum(values, 1.0) @ vectors.T
     covariance: FloatArray = lower @ raised @ upper
     return covariance

@@ -127,7 +127,7 @@ def resect_robustly(
         raise NoSolutionError(
             f"no {fewest} matches agree on a position", ReasonCode.POINTS_DISAGREE
         )
-    found, used, factor = gated(
+    estimate, used, factor = gated(
         agreeing, fewest, lambda mask: solved(mask, attitude_sigma_rad), squares_of, gate
     )
     kept = sightings.subset(used)
@@ -137,12 +137,12 @@ def resect_robustly(
     if error_correlation is not None:
         error_correlation = error_correlation[np.ix_(used, used)]
     step, covariance = with_dependent_errors(
-        rescaled(found, factor), found.measured, factor, kept, errors, error_correlation
+        rescaled(estimate, factor), estimate.measured, factor, kept, errors, error_correlation
     )
-    pose = found.state.moved(step)
+    pose = estimate.state.moved(step)
     pixels, _ = predict(camera, pose, sightings.points_body_m)
     return Resection(
-        pose, covariance, found.degrees_of_freedom, used, factor, sightings.pixels - pixels
+        pose, covariance, estimate.degrees_of_freedom, used, factor, sightings.pixels - pixels
     )
 
 
@@ -188,8 +188,8 @@ def errors_of_scatter(
     sightings: Sightings, factor: float, shift: float, stretch: float
 ) -> FloatArray:
     """Shifts along x and y and a stretch (n, 2, 3), px: shares of the scatter of a frame."""
-    own = np.trace(sightings.covariances_px2, axis1=1, axis2=2).mean() / 2.0
-    scatter = float(np.sqrt(factor * own))
+    variance = np.trace(sightings.covariances_px2, axis1=1, axis2=2).mean() / 2.0
+    scatter = float(np.sqrt(factor * variance))
     outward = sightings.pixels - sightings.pixels.mean(axis=0)
     reach = float(np.sqrt((outward**2).sum(axis=1).mean()))
     errors = np.zeros((len(sightings), 2, 3))

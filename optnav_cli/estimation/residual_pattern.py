@@ -34,10 +34,10 @@ def pattern_probability(
     parts = next(_parts(series, times, revolution_s), None)
     if parts is None:
         return 1.0
-    place, count = parts
-    means = np.bincount(place, values) / count
+    group, count = parts
+    means = np.bincount(group, values) / count
     between = float((count * means**2).sum())
-    within = float(((values - means[place]) ** 2).sum())
+    within = float(((values - means[group]) ** 2).sum())
     freedom = len(values) - len(count)
     if freedom < 1:
         return 1.0
@@ -56,10 +56,10 @@ def pattern_inflation(
     Returns the factor of the covariance, at least 1.
     """
     factor = 1.0
-    for place, count in _parts(series, times, revolution_s):
-        means = np.bincount(place, values) / count
+    for group, count in _parts(series, times, revolution_s):
+        means = np.bincount(group, values) / count
         of = np.zeros(len(count), np.int64)
-        of[place] = series
+        of[group] = series
         squares = np.bincount(of, count * means**2) / np.maximum(np.bincount(of), 1)
         factor = max(factor, float(squares.max()))
     return factor
@@ -76,9 +76,9 @@ def _parts(
         part = np.floor(since / width).astype(np.int64)
         if part.max() < MIN_PARTS - 1:
             return
-        _, place = np.unique(np.stack([series, part], axis=1), axis=0, return_inverse=True)
-        place = place.ravel()
-        count = np.bincount(place)
+        _, group = np.unique(np.stack([series, part], axis=1), axis=0, return_inverse=True)
+        group = group.ravel()
+        count = np.bincount(group)
         if len(times) >= MIN_IN_PART * len(count):
-            yield place, count
+            yield group, count
         width *= 2.0

@@ -65,10 +65,10 @@ class LinearArc:
     @property
     def by_node(self) -> list[list[NodeMeasurement]]:
         """The measurements of each node."""
-        found: list[list[NodeMeasurement]] = [[] for _ in range(len(self.transitions) + 1)]
+        grouped: list[list[NodeMeasurement]] = [[] for _ in range(len(self.transitions) + 1)]
         for measurement in self.measurements:
-            found[measurement.node].append(measurement)
-        return found
+            grouped[measurement.node].append(measurement)
+        return grouped
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def smooth(arc: LinearArc) -> SmoothedArc:
     """
     count, n = len(arc.transitions) + 1, arc.prior_covariance.shape[0]
     columns = arc.offset.shape[1]
-    one = np.eye(n)
+    identity = np.eye(n)
     by_node = arc.by_node
     d, p = arc.offset, arc.prior_covariance
     filtered_d, filtered_p = np.empty((count, n, columns)), np.empty((count, n, n))
@@ -120,7 +120,7 @@ def smooth(arc: LinearArc) -> SmoothedArc:
             weight = _inverse(h @ ph + r)
             gain = ph @ weight
             y = m.residual - h @ d
-            c = one - gain @ h
+            c = identity - gain @ h
             d = d + gain @ y
             p = c @ p @ c.T + gain @ r @ gain.T
             p = 0.5 * (p + p.T)
@@ -149,7 +149,7 @@ def smooth(arc: LinearArc) -> SmoothedArc:
             disturbances[i - 1] = -arc.noises[i - 1] @ lam
             f = arc.transitions[i - 1]
             lam, info = f.T @ lam, f.T @ info @ f
-            later = f.T @ np.linalg.solve(one + later @ arc.noises[i - 1], later) @ f
+            later = f.T @ np.linalg.solve(identity + later @ arc.noises[i - 1], later) @ f
             later = 0.5 * (later + later.T)
     return SmoothedArc(
         filtered_d, filtered_p, disturbances, chi_square, numbers, scores, information
@@ -163,8 +163,8 @@ def _joined(covariance: FloatArray, information: FloatArray) -> FloatArray:
     root = sigmas[:, None] * axes * np.sqrt(np.maximum(values, 0.0))
     inner = np.linalg.cholesky(np.eye(len(root)) + root.T @ information @ root)
     joined = solve_triangular(inner, root.T, lower=True)
-    found: FloatArray = joined.T @ joined
-    return found
+    combined: FloatArray = joined.T @ joined
+    return combined
 
 
 def _inverse(covariance: FloatArray) -> FloatArray:
@@ -191,13 +191,13 @@ def batch(arc: LinearArc) -> SmoothedArc:
     z = np.concatenate(right)
     first = solve_triangular(r, q.T @ z)
     root = solve_triangular(r, np.eye(n))
-    rest = z[:, 0] - np.concatenate(rows) @ first[:, 0]
+    residual = z[:, 0] - np.concatenate(rows) @ first[:, 0]
     spread = maps @ root
     return SmoothedArc(
         maps @ first + shifts,
         spread @ spread.transpose(0, 2, 1),
         np.zeros_like(arc.defects),
-        float(rest @ rest),
+        float(residual @ residual),
         sum(len(m.residual) for m in arc.measurements),
     )
 
@@ -235,16 +235,16 @@ def nuisance(arc: LinearArc) -> SmoothedArc:
     wa = cho_solve(factor, a)
     covariance = np.linalg.inv(a.T @ wa)
     last = covariance @ (wa.T @ z)
-    rest = cho_solve(factor, z - a @ last)
+    weighted = cho_solve(factor, z - a @ last)
     others = spread.reshape(count * n, -1)
-    deviations = back @ last + shift + (others @ rest).reshape(count, n, -1)
-    own = back - (others @ wa).reshape(count, n, n)
+    deviations = back @ last + shift + (others @ weighted).reshape(count, n, -1)
+    maps = back - (others @ wa).reshape(count, n, n)
     solved = cho_solve(factor, others.T).T.reshape(count, n, -1)
-    covariances = np.einsum("iab,icb->iac", own @ covariance, own)
+    covariances = np.einsum("iab,icb->iac", maps @ covariance, maps)
     covariances += np.stack([cover[i, i] for i in range(count)])
     covariances -= np.einsum("iab,icb->iac", solved, spread)
     disturbances = deviations[1:] - arc.transitions @ deviations[:-1] - arc.defects
-    chi_square = float((z - a @ last)[:, 0] @ rest[:, 0])
+    chi_square = float((z - a @ last)[:, 0] @ weighted[:, 0])
     return SmoothedArc(deviations, covariances, disturbances, chi_square, sum(rows_of))
 
 
@@ -264,17 +264,17 @@ def _from_last(arc: LinearArc) -> tuple[FloatArray, FloatArray, FloatArray]:
     """
     count, n = len(arc.transitions) + 1, arc.prior_covariance.shape[0]
     back, shift = np.empty((count, n, n)), np.empty((count, *arc.offset.shape))
-    own = np.empty((count, n, n))  # covariance of each e
-    back[-1], shift[-1], own[-1] = np.eye(n), 0.0, 0.0
+    spreads = np.empty((count, n, n))  # covariance of each e
+    back[-1], shift[-1], spreads[-1] = np.eye(n), 0.0, 0.0
     inverses = np.empty_like(arc.transitions)
     for i in range(count - 2, -1, -1):
         inverse = inverses[i] = np.linalg.inv(arc.transitions[i])
         back[i] = inverse @ back[i + 1]
         shift[i] = inverse @ (shift[i + 1] - arc.defects[i])
-        own[i] = inverse @ (own[i + 1] + arc.noises[i]) @ inverse.T
+        spreads[i] = inverse @ (spreads[i + 1] + arc.noises[i]) @ inverse.T
     cover = np.empty((count, count, n, n))
     for j in range(count):  # node i before j holds e[j] moved back, and more of its own
-        moved = own[j]
+        moved = spreads[j]
         cover[j, j] = moved
         for i in range(j - 1, -1, -1):
             moved = inverses[i] @ moved

@@ -67,11 +67,11 @@ class Albedo:
         noise = self._noise._replace(seed=seed + ALBEDO_STREAM)
         _add_octaves(logs, noise, directions, sizes_m)
         if self._map is None:
-            found: FloatArray = np.exp(logs)
+            relative: FloatArray = np.exp(logs)
         else:
             brightness, share = self._map.with_share(directions)
-            found = brightness * np.exp(logs * (share / SHARE))
-        return np.clip(found, MIN_FACTOR, MAX_FACTOR).astype(np.float32)
+            relative = brightness * np.exp(logs * (share / SHARE))
+        return np.clip(relative, MIN_FACTOR, MAX_FACTOR).astype(np.float32)
 
     def on_body(self, seed: int, body_from_scene: FloatArray) -> Reflectivity:
         """The same for a scene in a turned frame, (3, 3)."""
@@ -147,9 +147,9 @@ def _sampled(
     values: Float32Array, elsewhere: float, row: FloatArray, col: FloatArray, inside: BoolArray
 ) -> FloatArray:
     """Values (n,) of a map at rows and columns; `elsewhere` outside of it and in its holes."""
-    found: FloatArray = sample_bicubic(values, row, col).astype(np.float64)
-    found[~inside | ~np.isfinite(found)] = elsewhere
-    return found
+    sampled: FloatArray = sample_bicubic(values, row, col).astype(np.float64)
+    sampled[~inside | ~np.isfinite(sampled)] = elsewhere
+    return sampled
 
 
 def finest_share(brightness: Float32Array) -> Float32Array:

@@ -163,9 +163,9 @@ class _Pull:
     def of_body(self, tdb_s: float, offset_m: FloatArray) -> FloatArray:
         """On a ship `offset_m` (3,) from the body, m/s^2."""
         body_from_inertial = self._motion.body_from_inertial(tdb_s)
-        away = body_from_inertial @ offset_m - self._masses.places_m
-        share = self._masses.gm_m3_s2 / np.einsum("ij,ij->i", away, away) ** 1.5
-        pull: FloatArray = -(share @ away) @ body_from_inertial
+        offsets = body_from_inertial @ offset_m - self._masses.places_m
+        share = self._masses.gm_m3_s2 / np.einsum("ij,ij->i", offsets, offsets) ** 1.5
+        pull: FloatArray = -(share @ offsets) @ body_from_inertial
         return pull
 
     def of_planet(self, tdb_s: float, place_m: FloatArray) -> FloatArray:

@@ -43,25 +43,28 @@ class CylinderSimulation(Simulation):
         return [f"frame_{number:04d}.png" for number in range(len(self._states))]
 
     def picture(self, number: int) -> bytes:
-        one, camera = self._own.cylinder, self.cameras[0]
+        section, camera = self._own.cylinder, self.cameras[0]
         _, distance, theta, _, _ = (float(value) for value in self._states[number])
-        axis = math.radians(one.bearing_deg)
-        place = (distance, axis, theta)
-        light = draw_cylinder(camera, (one.radius_m, one.height_m), place, one.surface)
-        glare = source_glare(camera, axis, theta, one.surface)
+        axis = math.radians(section.bearing_deg)
+        placement = (distance, axis, theta)
+        light = draw_cylinder(
+            camera, (section.radius_m, section.height_m), placement, section.surface
+        )
+        glare = source_glare(camera, axis, theta, section.surface)
         rng = np.random.default_rng([self._own.seed, SENSOR, number])
         return png(expose(light, self._own.sensor, rng, Besides(veil=glare)))
 
     def write_tables(self, folder: Path) -> None:
-        one, camera = self._own.cylinder, self.cameras[0]
-        text = f'target = "cylinder"\nradius_m = {one.radius_m!r}\nheight_m = {one.height_m!r}\n'
-        text += f"light_half_width_deg = {one.surface.light_half_width_deg!r}\n"
+        section, camera = self._own.cylinder, self.cameras[0]
+        text = f'target = "cylinder"\nradius_m = {section.radius_m!r}\n'
+        text += f"height_m = {section.height_m!r}\n"
+        text += f"light_half_width_deg = {section.surface.light_half_width_deg!r}\n"
         (folder / RUN_TOML).write_text(text, encoding="utf-8")
         (folder / "cameras").mkdir(exist_ok=True)
         write_camera(folder / "cameras", replace(camera, coding=Coding("linear")))
         times = [
             utc_from_tdb_s(float(time), 3)
-            for time in compute_tdb_s_after(one.start_utc, self._states[:, 0])
+            for time in compute_tdb_s_after(section.start_utc, self._states[:, 0])
         ]
         heads = [{"file": name, "utc": utc} for name, utc in zip(self.names, times, strict=True)]
         TIMES_AND_CAMERAS.write(
@@ -72,9 +75,9 @@ class CylinderSimulation(Simulation):
             (
                 {
                     **head,
-                    "d_m": distance - one.radius_m,
+                    "d_m": distance - section.radius_m,
                     "theta_deg": math.degrees(theta),
-                    "bearing_deg": one.bearing_deg,
+                    "bearing_deg": section.bearing_deg,
                     "vx_m_s": vx,
                     "vy_m_s": vy,
                 }

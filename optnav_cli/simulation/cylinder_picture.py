@@ -79,9 +79,9 @@ def draw_cylinder(
     across = np.clip((limb - np.abs(bearing)) / fine_step + 0.5, 0.0, 1.0)
     sine = np.clip(distance / radius * np.sin(bearing), -1.0, 1.0)
     psi = np.arcsin(sine) - bearing
-    away = np.sqrt(distance**2 + radius**2 - 2.0 * distance * radius * np.cos(psi))
-    down = away * slope - below_middle_m  # of the seen point from the middle of the strip
-    row_step = np.abs(np.gradient(slope, axis=0)) * away
+    distances = np.sqrt(distance**2 + radius**2 - 2.0 * distance * radius * np.cos(psi))
+    down = distances * slope - below_middle_m  # of the seen point from the middle of the strip
+    row_step = np.abs(np.gradient(slope, axis=0)) * distances
     along = np.clip((0.5 * height - np.abs(down)) / row_step + 0.5, 0.0, 1.0)
     light = _brightness(psi, bearing, slope, theta, surface)
     cover = across * along
@@ -142,18 +142,18 @@ def _brightness(
     """Of points of the surface: psi and bearing from the axis, slope down to them."""
     up = math.radians(surface.light_elevation_deg)
     half = math.radians(surface.light_half_width_deg)
-    found = np.full(psi.shape, surface.ambient)
+    brightness = np.full(psi.shape, surface.ambient)
     # chords of the disc at equal steps across it
     places = (np.arange(SOURCE_RAYS) + 0.5) / SOURCE_RAYS * 2.0 - 1.0
     shares = np.sqrt(1.0 - places**2)
     shares /= shares.sum()
     outgoing = 1.0 / np.sqrt(1.0 + slope**2)
     emission = np.clip(outgoing * np.cos(psi + bearing), 1e-6, 1.0)
-    for place, share in zip(places, shares, strict=True):
-        turn = psi - theta - half * place
+    for chord, share in zip(places, shares, strict=True):
+        turn = psi - theta - half * chord
         incidence = np.clip(math.cos(up) * np.cos(turn), 0.0, 1.0)
         cloth = incidence * _roughened(incidence, emission, turn, psi + bearing, surface)
-        found += share * np.where(incidence > 0.0, cloth, 0.0)
+        brightness += share * np.where(incidence > 0.0, cloth, 0.0)
         if surface.gloss > 0.0:
             # the half vector's part along the normal: of two unit vectors
             upward = math.sin(up) + slope * outgoing
@@ -161,8 +161,8 @@ def _brightness(
             turned = math.cos(up) * np.sin(-turn) - outgoing * np.sin(psi + bearing)
             length = np.sqrt(middle**2 + turned**2 + upward**2)
             lobe = np.maximum(middle / np.maximum(length, 1e-9), 0.0) ** surface.gloss_power
-            found += share * surface.gloss * np.where(incidence > 0.0, lobe, 0.0)
-    return found
+            brightness += share * surface.gloss * np.where(incidence > 0.0, lobe, 0.0)
+    return brightness
 
 
 def _roughened(
@@ -178,8 +178,11 @@ def _roughened(
     square = math.radians(surface.roughness_deg) ** 2
     first = 1.0 - 0.5 * square / (square + 0.33)
     second = 0.45 * square / (square + 0.09)
-    one, other = np.arccos(incidence), np.arccos(emission)
-    large, small = np.maximum(one, other), np.minimum(one, other)
+    incidence_angle, emission_angle = np.arccos(incidence), np.arccos(emission)
+    large, small = (
+        np.maximum(incidence_angle, emission_angle),
+        np.minimum(incidence_angle, emission_angle),
+    )
     # on the same side of the normal the azimuths agree, on the other they are opposite
     same = np.maximum(np.sign(turn) * np.sign(leave), 0.0)
     factor: FloatArray = first + second * same * np.sin(large) * np.tan(np.minimum(small, 1.5))

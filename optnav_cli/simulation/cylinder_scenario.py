@@ -52,11 +52,11 @@ class CylinderScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw
 
     def check(self) -> None:
         super().check()
-        one = self.cylinder
-        if one.distance_m - one.sway_m < 1.2 * one.radius_m:
+        section = self.cylinder
+        if section.distance_m - section.sway_m < 1.2 * section.radius_m:
             raise ConfigError(
-                f"[cylinder] distance_m is {one.distance_m:g} and radius_m {one.radius_m:g}; "
-                "wanted a craft outside the cylinder"
+                f"[cylinder] distance_m is {section.distance_m:g} and radius_m "
+                f"{section.radius_m:g}; wanted a craft outside the cylinder"
             )
         if self.beside:
             raise ConfigError("[cylinder] is seen by one camera; leave out [[beside]]")
@@ -75,15 +75,15 @@ class CylinderScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw
 
         x points towards the light, y to where theta grows.
         """
-        one = self.cylinder
-        seconds = np.arange(one.pictures) * one.spacing_s
-        pace = 2.0 * math.pi / one.sway_s
-        distance = one.distance_m + one.sway_m * np.sin(pace * seconds)
-        closing = one.sway_m * pace * np.cos(pace * seconds)
-        swing = math.radians(one.sway_deg)
-        theta = np.radians(one.theta_deg + one.theta_rate_deg_s * seconds)
+        section = self.cylinder
+        seconds = np.arange(section.pictures) * section.spacing_s
+        pace = 2.0 * math.pi / section.sway_s
+        distance = section.distance_m + section.sway_m * np.sin(pace * seconds)
+        closing = section.sway_m * pace * np.cos(pace * seconds)
+        swing = math.radians(section.sway_deg)
+        theta = np.radians(section.theta_deg + section.theta_rate_deg_s * seconds)
         theta = theta + swing * np.sin(1.3 * pace * seconds)
-        rate = math.radians(one.theta_rate_deg_s) + 1.3 * pace * swing * np.cos(
+        rate = math.radians(section.theta_rate_deg_s) + 1.3 * pace * swing * np.cos(
             1.3 * pace * seconds
         )
         vx = closing * np.cos(theta) - distance * rate * np.sin(theta)

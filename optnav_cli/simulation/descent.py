@@ -121,7 +121,7 @@ class Descent(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         rng = np.random.default_rng([self.seed, PLACE, 0])
         sun = sun_over(self.sun, float(lat), float(lon), 0, 1, rng)
         seed = next(iter(self.detail.seeds), None)
-        found: list[Epoch] = []
+        flight: list[Epoch] = []
         times = picture_times(settings)
         step = max(1, len(times) // CHECKED)
         for number, time in enumerate(times):
@@ -132,8 +132,8 @@ class Descent(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             if number % step == 0 or time == times[-1]:
                 _check_height(source, up, height)
             tdb_s = float(compute_tdb_s_after(settings.start_utc, time)[0])
-            found.append(Epoch(number, 0, tdb_s, (radius + height) * up, forward, sun, True, seed))
-        return found
+            flight.append(Epoch(number, 0, tdb_s, (radius + height) * up, forward, sun, True, seed))
+        return flight
 
     def ship_attitude(self, epoch: Epoch) -> Rotation:
         first, last = self.descent.tilt_deg
@@ -176,16 +176,20 @@ def track_errors(
 ) -> tuple[FloatArray, FloatArray]:
     """True less stated positions (n, 3), m, and attitudes (n, 3), rad, an axis of the camera."""
     rng = np.random.default_rng([seed, PRIOR])
-    place, velocity = track.position_sigma_m * rng.normal(size=3), rng.normal(size=3)
+    position, velocity = track.position_sigma_m * rng.normal(size=3), rng.normal(size=3)
     velocity = track.velocity_sigma_m_s * velocity
-    places = [place]
+    places = [position]
     for before, time in pairwise(times):
         step = time - before
         # white noise of the acceleration over a step: its share of velocity and of place
-        one, other = track.acceleration_sigma_m_s2 * rng.normal(size=(2, 3))
-        place = place + velocity * step + step**1.5 * (one / 2.0 + other / np.sqrt(12.0))
-        velocity = velocity + np.sqrt(step) * one
-        places.append(place)
+        velocity_noise, place_noise = track.acceleration_sigma_m_s2 * rng.normal(size=(2, 3))
+        position = (
+            position
+            + velocity * step
+            + step**1.5 * (velocity_noise / 2.0 + place_noise / np.sqrt(12.0))
+        )
+        velocity = velocity + np.sqrt(step) * velocity_noise
+        places.append(position)
     rng = np.random.default_rng([seed, ATTITUDE])
     bias, drift = rng.normal(size=(2, 3))
     turns = track.attitude_sigma_arcsec * bias

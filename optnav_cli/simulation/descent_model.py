@@ -69,8 +69,10 @@ def surveyed_model(
     north, west = true.north + 0.5 * true.step_lat, true.west - 0.5 * true.step_lon
     steps = (BLOCK * true.step_lon, BLOCK * true.step_lat)
     left, top, right, down = (float(np.degrees(v)) for v in (west, north, *steps))
-    place = Affine(right, 0.0, left, 0.0, -down, top)
-    return geotiff(heights, CRS.from_proj4(f"+proj=longlat +R={body.radius_m} +no_defs"), place)
+    pixel_to_degrees = Affine(right, 0.0, left, 0.0, -down, top)
+    return geotiff(
+        heights, CRS.from_proj4(f"+proj=longlat +R={body.radius_m} +no_defs"), pixel_to_degrees
+    )
 
 
 def model_error(shape: tuple[int, ...], rms_m: float, rng: np.random.Generator) -> Float32Array:

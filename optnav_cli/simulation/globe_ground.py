@@ -120,7 +120,7 @@ class GlobeTerrain:
     def _mean_skyline(self, posting_m: float) -> FloatArray:
         """Mean height (SAMPLES,), m, of skylines of the ground at a posting, seen from far away."""
         rng = np.random.default_rng(0)
-        found = []
+        means = []
         step = posting_m / self._heights.radius_m
         rows, cols = int(2.0 * SAMPLE_REACH / step) + 1, int(SAMPLE_WIDTH / step) + 1
         grid = Lattice(SAMPLE_REACH, 0.0, step, rows, cols)
@@ -129,8 +129,8 @@ class GlobeTerrain:
             frame = facing_frame(*(v / np.linalg.norm(v) for v in rng.normal(size=(2, 3))))
             heights = self._ground(frame, grid, posting_m)
             across = (self._heights.radius_m + heights) * np.cos(lat)[:, None]
-            found.append(float(across.max(axis=0).mean()) - self._heights.radius_m)
-        return np.array(found)
+            means.append(float(across.max(axis=0).mean()) - self._heights.radius_m)
+        return np.array(means)
 
     def _coarse(self, grid_from_body: FloatArray) -> Ground:
         step = np.pi / COARSE_ROWS
@@ -333,8 +333,8 @@ def _seen(
     ends = (below > 0.0) & (along < 0.0)
     end[ends] = -along[ends] - np.sqrt(below[ends])
     points = [position + s[:, None] * rays for s in (start, 0.5 * (start + end), end)]
-    found = np.concatenate(points)
-    directions: FloatArray = found / np.linalg.norm(found, axis=1)[:, None]
+    ground_points = np.concatenate(points)
+    directions: FloatArray = ground_points / np.linalg.norm(ground_points, axis=1)[:, None]
     return directions
 
 

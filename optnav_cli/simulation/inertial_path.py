@@ -119,7 +119,7 @@ def epochs_of(scenario: ScenarioBase, motion: Ephemeris, states: States) -> list
 
     Raises ConfigError for a path that meets the body.
     """
-    found: list[Epoch] = []
+    epochs: list[Epoch] = []
     stated = scenario.attitude.relative_to == "body"
     seed = next(iter(scenario.detail.seeds), None)
     for number, (tdb_s, state) in enumerate(zip(*states, strict=True)):
@@ -138,8 +138,8 @@ def epochs_of(scenario: ScenarioBase, motion: Ephemeris, states: States) -> list
                 f"{motion.body.name}, where mountains are; raise it"
             )
         forward, sun = level / np.linalg.norm(level), motion.sun_body(float(tdb_s))
-        found.append(Epoch(number, 0, float(tdb_s), position, forward, sun, stated, seed))
-    return found
+        epochs.append(Epoch(number, 0, float(tdb_s), position, forward, sun, stated, seed))
+    return epochs
 
 
 def flight_states(flight: FlightSettings, motion: Ephemeris, seed: int) -> States:
@@ -151,8 +151,8 @@ def flight_states(flight: FlightSettings, motion: Ephemeris, seed: int) -> State
     times = compute_tdb_s_after(flight.start_utc, flight.spacing_s * np.arange(flight.frames))
     frame = path_frame(motion, start, flight.inclination_deg, flight.node_deg, flight.lowest_at_deg)
     anomaly = np.radians(flight.start_at_deg - flight.lowest_at_deg)
-    place, velocity = _on_conic(body.gm_m3_s2, low, speed, anomaly)
-    state = np.concatenate([frame @ place, frame @ velocity])
+    position, velocity = _on_conic(body.gm_m3_s2, low, speed, anomaly)
+    state = np.concatenate([frame @ position, frame @ velocity])
     orbit = OrbitMotion(Forces(motion, ForcesSettings(degree=flight.degree)))
     if not flight.rough_gravity:
         return times, orbit.propagate(state, start, times)[0]
@@ -225,8 +225,8 @@ def _on_conic(gm: float, low: float, speed: float, anomaly: float) -> tuple[Floa
     eccentricity = low * speed**2 / gm - 1.0
     c, s = np.cos(anomaly), np.sin(anomaly)
     r = momentum**2 / gm / (1.0 + eccentricity * c)
-    place = r * np.array([c, s, 0.0])
-    return place, gm / momentum * np.array([-s, eccentricity + c, 0.0])
+    position = r * np.array([c, s, 0.0])
+    return position, gm / momentum * np.array([-s, eccentricity + c, 0.0])
 
 
 def _about_z(angle: float) -> FloatArray:

@@ -81,12 +81,12 @@ def simulate_folder(
         workspace.keep_only(STAGE, {key})
         terrain = [*(Path(dem.path).name for dem in scenario.dem), Path(scenario.globe.path).name]
         try:
-            with replace_folder(pictures, KIND) as place:
+            with replace_folder(pictures, KIND) as staging:
                 # first, as a model of the ground can be refused
-                simulation.write_tables(place)
-                _take(simulation, results, crew, place, progress)
+                simulation.write_tables(staging)
+                _take(simulation, results, crew, staging, progress)
                 write_manifest(
-                    place,
+                    staging,
                     KIND,
                     command="simulate",
                     options={},

@@ -88,12 +88,12 @@ def _box(
     near = corners @ centre > np.cos(angle)  # NaN, where the lens sees nothing, is not
     if not near.any():
         return None
-    found = []
+    spans = []
     for axis in (1, 0):
         at = np.flatnonzero(near.any(axis=axis))
         last = near.shape[1 - axis] - 1
-        found.append(slice(max(int(at[0]) - 1, 0), min(int(at[-1]) + 1, last)))
-    return found[0], found[1]
+        spans.append(slice(max(int(at[0]) - 1, 0), min(int(at[-1]) + 1, last)))
+    return spans[0], spans[1]
 
 
 def _between(corners: FloatArray, aside: int) -> FloatArray:

@@ -86,7 +86,7 @@ class Scenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         body = motion.body
         radius = body.radius_m + orbit.altitude_km * 1e3
         rate = float(np.sqrt(body.gm_m3_s2 / radius**3))
-        found: list[Epoch] = []
+        flight: list[Epoch] = []
         for number in range(orbit.passes):
             rng = np.random.default_rng([self.seed, PLACE, number])
             lat, lon = _place(orbit.box_deg, rng)
@@ -103,8 +103,8 @@ class Scenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tr
                 place, forward = radius * (c * up + s * ahead), c * ahead - s * up
                 later = number * orbit.pass_interval_s + step * orbit.spacing_s
                 tdb_s = float(compute_tdb_s_after(orbit.start_utc, later)[0])
-                found.append(Epoch(len(found), number, tdb_s, place, forward, sun, True, ground))
-        return found
+                flight.append(Epoch(len(flight), number, tdb_s, place, forward, sun, True, ground))
+        return flight
 
 
 def _place(box_deg: tuple[float, float, float, float], rng: np.random.Generator) -> FloatArray:
@@ -190,7 +190,7 @@ class Portraits(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=
         distances = 1e3 * np.geomspace(*settings.distance_km, settings.frames)
         low, high = np.radians(settings.phase_deg)
         seeds = self.detail.seeds
-        found: list[Epoch] = []
+        flight: list[Epoch] = []
         for number in range(settings.frames):
             share = np.mod(0.5 / settings.frames + number * GOLDEN, 1.0)
             rng = np.random.default_rng([self.seed, PLACE, number])
@@ -200,8 +200,10 @@ class Portraits(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=
             forward = _square_to(up, NORTH)
             seed = seeds[number * len(seeds) // settings.frames] if seeds else None
             position_m = distances[number] * up
-            found.append(Epoch(number, number, times[number], position_m, forward, sun, True, seed))
-        return found
+            flight.append(
+                Epoch(number, number, times[number], position_m, forward, sun, True, seed)
+            )
+        return flight
 
 
 def _place_and_sun(

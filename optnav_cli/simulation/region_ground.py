@@ -102,8 +102,8 @@ class TruthTerrain:
                 slopes = SlopeMap.measure_globe(heights, body.radius_m)
                 posting = np.pi * body.radius_m / len(heights)
             for seed, relief in list(around.items()):
-                own = error_above(error, seed, posting, slopes, body)
-                around[seed] = globe_heights.ReliefSum((relief, own))
+                error_relief = error_above(error, seed, posting, slopes, body)
+                around[seed] = globe_heights.ReliefSum((relief, error_relief))
         self._wide = globe_heights.WideGround(heights, body.radius_m, seam, around, cameras_m)
 
     def wide(self, seed: int | None) -> Ground:
@@ -185,13 +185,15 @@ class TruthTerrain:
             share, *nearest = self._within(source, lat, lon)
             if not share.any():
                 continue
-            own = self._source_heights(source, *nearest) + wrong
+            model_heights = self._source_heights(source, *nearest) + wrong
             # at the model's own posting the relief below it has no place
             detail = self._details[seed] if number == 0 and factor > 1 else None
             if detail is not None:
-                own += detail.window(*grid)
-            share[~np.isfinite(own)] = 0.0
-            heights += (share * (np.where(share > 0.0, own, heights) - heights)).astype(np.float32)
+                model_heights += detail.window(*grid)
+            share[~np.isfinite(model_heights)] = 0.0
+            heights += (share * (np.where(share > 0.0, model_heights, heights) - heights)).astype(
+                np.float32
+            )
         return heights
 
     def _slopes(self) -> SlopeMap:
@@ -265,11 +267,11 @@ class TruthTerrain:
         # a spline does not bear holes: where the model has some, convolution leaves them out
         y, x = np.where(inside, row - top, 0.0), np.where(inside, col - left, 0.0)
         if holes.any():
-            found = sample_bicubic(heights, y, x)
+            sampled = sample_bicubic(heights, y, x)
         else:
-            found = globe_heights.sample_spline(globe_heights.spline_coefficients(heights), y, x)
-        found[~inside] = np.nan
-        return found
+            sampled = globe_heights.sample_spline(globe_heights.spline_coefficients(heights), y, x)
+        sampled[~inside] = np.nan
+        return sampled
 
 
 def truth_terrain(scenario: ScenarioBase, body: Body, flight: Sequence[Exposure]) -> TruthTerrain:

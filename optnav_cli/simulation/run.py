@@ -64,12 +64,12 @@ class Simulation:
             return name
 
         self.scenario.with_files(FileNames(raster, noted, noted, noted, noted))
-        found = {path for name in names if (path := resolve_path(name, Path())).is_file()}
+        paths = {path for name in names if (path := resolve_path(name, Path())).is_file()}
         for name in rasters:
             path = resolve_path(name, Path())
             with open_raster(path, TERRAIN) as dataset, handle_read_errors(path):
-                found.update(map(Path, dataset.files))  # of a label its image, the parts of a VRT
-        return sorted(found)
+                paths.update(map(Path, dataset.files))  # of a label its image, the parts of a VRT
+        return sorted(paths)
 
     @cached_property
     def motion(self) -> Ephemeris:
@@ -94,27 +94,27 @@ class Simulation:
 
         The blur, px, and a turn of the whole camera that stated attitudes do not know.
         """
-        found: list[tuple[float, Rotation | None]] = []
+        errors: list[tuple[float, Rotation | None]] = []
         drawn = self.scenario.world.camera == "drawn"
         for number, camera in enumerate(self.cameras):
             rng = np.random.default_rng([self.scenario.seed, CALIBRATION, number])
             off = rng.normal(size=4) if drawn else np.zeros(4)
             turned = drawn and camera.boresight_sigma_rad > 0.0
             turn = Rotation.from_rotvec(camera.boresight_sigma_rad * off[1:]) if turned else None
-            found.append((float((camera.psf_error_px or 0.0) * off[0]), turn))
-        return found
+            errors.append((float((camera.psf_error_px or 0.0) * off[0]), turn))
+        return errors
 
     @cached_property
     def flight(self) -> list[Exposure]:
         """All pictures to take."""
-        found = []
+        exposures = []
         for exposure in self.scenario.exposures(self.motion):
             turn = self._calibration_errors[exposure.camera][1]
             if turn is not None:
                 stated = turn * exposure.reported_camera_from_body
                 exposure = replace(exposure, reported_camera_from_body=stated)
-            found.append(exposure)
-        return found
+            exposures.append(exposure)
+        return exposures
 
     @cached_property
     def names(self) -> list[str]:
@@ -174,12 +174,12 @@ class Taken(msgspec.Struct, frozen=True):
 
 def take(simulation: Simulation, numbers: Sequence[int]) -> list[Taken]:
     """Some pictures of a flight."""
-    found = []
+    taken = []
     for number in numbers:
         started = time.monotonic()
         data = simulation.picture(number)
-        found.append(Taken(data, round(time.monotonic() - started, 3)))
-    return found
+        taken.append(Taken(data, round(time.monotonic() - started, 3)))
+    return taken
 
 
 def truth_ground(

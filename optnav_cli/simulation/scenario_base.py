@@ -114,8 +114,8 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         truth = self.truth
         if truth and truth.albedo_map:
             path = names.terrain(truth.albedo_map.path)
-            own = msgspec.structs.replace(truth.albedo_map, path=path)
-            truth = msgspec.structs.replace(truth, albedo_map=own)
+            map_settings = msgspec.structs.replace(truth.albedo_map, path=path)
+            truth = msgspec.structs.replace(truth, albedo_map=map_settings)
         return msgspec.structs.replace(
             self,
             truth=truth,
@@ -138,28 +138,28 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         mounted += [None] * (len(self.mounts()) - len(mounted))
         names = self.camera_names()
         digits = max(4, len(str(len(epochs))))
-        found: list[Exposure] = []
+        taken: list[Exposure] = []
         for epoch in epochs:
             truth = self.ship_attitude(epoch)
             stated, prior = self.stated(epoch, truth)
             for number, own_from_ship in enumerate(mounted):
                 which = f"_{names[number]}" if len(mounted) > 1 else ""
-                own = truth if own_from_ship is None else own_from_ship * truth
-                found.append(
+                camera_from_body = truth if own_from_ship is None else own_from_ship * truth
+                taken.append(
                     Exposure(
                         **vars(epoch),
-                        index=len(found),
+                        index=len(taken),
                         camera=number,
                         file=f"frame_{epoch.number:0{digits}d}{which}.png",
                         utc=utc_from_tdb_s(epoch.tdb_s, 3),
-                        camera_from_body=own,
+                        camera_from_body=camera_from_body,
                         reported_camera_from_body=(
                             stated if own_from_ship is None else own_from_ship * stated
                         ),
                         prior_m=prior if self.prior.given else None,
                     )
                 )
-        return found
+        return taken
 
     def ship_attitude(self, epoch: Epoch) -> Rotation:
         """The true attitude of the first camera, camera_from_body."""

@@ -75,8 +75,8 @@ def expose(
     electrons = rng.poisson(light).astype(np.float32)
     electrons += settings.read_noise_e * rng.standard_normal(signal.shape, dtype=np.float32)
     counts = electrons * (settings.exposure * full * mean / (bright * wanted))
-    whole: Counts = np.clip(np.rint(counts + BIAS_SHARE * full), 0, full).astype(kind)
-    return whole
+    digital: Counts = np.clip(np.rint(counts + BIAS_SHARE * full), 0, full).astype(kind)
+    return digital
 
 
 def add_hot_pixels(counts: Counts, number: int, bits: int, rng: np.random.Generator) -> None:

@@ -121,7 +121,7 @@ class StereoScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_o
     def epochs(self, motion: Ephemeris) -> list[Epoch]:
         """The pairs of all passes; the ship flies straight on between those of a pass."""
         settings, body = self.stereo, motion.body
-        found: list[Epoch] = []
+        flight: list[Epoch] = []
         passes = len(settings.heights_m)
         for number, height_m in enumerate(settings.heights_m):
             rng = np.random.default_rng([self.seed, PLACE, number])
@@ -141,9 +141,9 @@ class StereoScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_o
                 after = step * settings.spacing_s
                 later = number * settings.pass_interval_s + after
                 tdb_s = float(compute_tdb_s_after(settings.start_utc, later)[0])
-                place = start + velocity * after
-                found.append(Epoch(len(found), number, tdb_s, place, ahead, sun, True, seed))
-        return found
+                position = start + velocity * after
+                flight.append(Epoch(len(flight), number, tdb_s, position, ahead, sun, True, seed))
+        return flight
 
     def exposures(self, motion: Ephemeris) -> list[Exposure]:
         """The pictures: each camera where it is mounted, with what is stated of it."""
@@ -181,16 +181,16 @@ class StereoTerrain:
         return scene.picture(exposure.position_m, rays)
 
     def _scene(self, camera: Camera, exposure: Exposure) -> Scene:
-        own = [e for e in self._flight if e.pass_index == exposure.pass_index]
+        pictures = [e for e in self._flight if e.pass_index == exposure.pass_index]
         radius = self._body.radius_m
-        relief = self._scenario.relief(own[0].ground_seed or 0, self._body)
-        heights = np.array([self._over_ground(e.position_m, relief) for e in own])
+        relief = self._scenario.relief(pictures[0].ground_seed or 0, self._body)
+        heights = np.array([self._over_ground(e.position_m, relief) for e in pictures])
         if heights.min() < MIN_HEIGHT_M:
             raise ConfigError(
                 f"[stereo] a camera comes to {heights.min():.3g} m over the ground; wanted "
                 f"{MIN_HEIGHT_M:g} and more: see heights_m, velocity_m_s and the mounts' position_m"
             )
-        corners = np.concatenate([self._corners(camera, e, h) for e, h in zip(own, heights)])
+        corners = np.concatenate([self._corners(camera, e, h) for e, h in zip(pictures, heights)])
         width = float(np.ptp(corners, axis=0).max())
         margin = (SHADOW_SHARE * width + 2.0) / radius
         lat, lon = np.arcsin(corners[:, 2] / radius), np.arctan2(corners[:, 1], corners[:, 0])
@@ -222,5 +222,5 @@ class StereoTerrain:
         up = exposure.position_m / np.linalg.norm(exposure.position_m)
         along = height_m / np.maximum(-(rays @ up), 0.2)
         places = exposure.position_m + along[:, None] * rays
-        found: FloatArray = places / np.linalg.norm(places, axis=1)[:, None] * self._body.radius_m
-        return found
+        points: FloatArray = places / np.linalg.norm(places, axis=1)[:, None] * self._body.radius_m
+        return points

@@ -44,8 +44,8 @@ def structure_cover(
         rng = np.random.default_rng([seed, number])
         coarse = rng.normal(size=[max(3, int(n / UNEVEN_PX) + 2) for n in (rows, cols)])
         uneven = cv2.resize(coarse.astype(np.float32), (cols, rows), interpolation=cv2.INTER_CUBIC)
-        own = np.maximum(part.brightness * (1.0 + UNEVEN * uneven), 0.0)
-        brightness = np.where(share > 0.0, own, brightness).astype(np.float32)
+        uneven_brightness = np.maximum(part.brightness * (1.0 + UNEVEN * uneven), 0.0)
+        brightness = np.where(share > 0.0, uneven_brightness, brightness).astype(np.float32)
         cover = np.maximum(cover, share)
     return cover, brightness
 

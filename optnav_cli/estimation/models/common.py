@@ -135,8 +135,8 @@ class CommonState:
     def places(self, kind: Common, camera: str = "") -> IntArray:
         """Where they stand."""
         owner = "" if kind in OF_THE_CATALOG else camera
-        found = [i for i, n in enumerate(self.numbers) if (n.kind, n.camera) == (kind, owner)]
-        return np.array(found, dtype=np.int64)
+        indices = [i for i, n in enumerate(self.numbers) if (n.kind, n.camera) == (kind, owner)]
+        return np.array(indices, dtype=np.int64)
 
     @property
     def turn(self) -> Rotation:
@@ -146,8 +146,8 @@ class CommonState:
     @property
     def origin_m(self) -> FloatArray:
         """(3,) of the catalog, in that frame."""
-        found = self.part(Common.ORIGIN)
-        return found if found.size else np.zeros(3)
+        origin = self.part(Common.ORIGIN)
+        return origin if origin.size else np.zeros(3)
 
     @property
     def scale(self) -> float:

@@ -92,15 +92,15 @@ class BoxStage:
     @property
     def middles(self) -> FloatArray:
         """(n, 3) of the boxes."""
-        found: FloatArray = self.low + (np.argwhere(self.filled) + 0.5) * self.step
-        return found
+        centres: FloatArray = self.low + (np.argwhere(self.filled) + 0.5) * self.step
+        return centres
 
     @property
     def reach(self) -> FloatArray:
         """(3,) the largest xi, eta, tau of the set."""
         off = np.abs(self.middles) + 0.5 * self.step
-        found: FloatArray = off.max(axis=0)
-        return found
+        extent: FloatArray = off.max(axis=0)
+        return extent
 
     def holds(self, points: FloatArray) -> BoolArray:
         """(n,) whether points (n, 3) lie in boxes."""
@@ -120,8 +120,8 @@ class TrialStages:
 
     @property
     def total(self) -> FloatArray:
-        found: FloatArray = np.sum(self.dv_m_s, axis=0)
-        return found
+        sums: FloatArray = np.sum(self.dv_m_s, axis=0)
+        return sums
 
 
 def delivery_task(settings: DeliverySettings, target: Body, where: str) -> DeliveryTask:
@@ -185,14 +185,14 @@ def _condition(w: FloatArray, speed_m_s: float) -> float:
 
 def _injection_axes(path: ReferencePath, settings: DeliverySettings) -> FloatArray:
     """(3, 3): columns are 1 sigma of the injection's velocity along and across."""
-    place, speed = path.states[0, :3], path.states[0, 3:]
+    position, speed = path.states[0, :3], path.states[0, 3:]
     along = speed / np.linalg.norm(speed)
-    across = np.cross(place, speed)
+    across = np.cross(position, speed)
     across /= np.linalg.norm(across)
     injection = settings.injection
     sizes = np.array([injection.along_m_s, injection.across_m_s, injection.across_m_s])
-    found: FloatArray = np.stack([along, across, np.cross(along, across)], axis=1) * sizes
-    return found
+    axes: FloatArray = np.stack([along, across, np.cross(along, across)], axis=1) * sizes
+    return axes
 
 
 def _thrust(
@@ -222,8 +222,8 @@ def _thrust(
     step = (last - first) * DAY_S / THRUST_STEPS
     effects = np.array(moved) * step
     like = np.exp(-np.abs(middles[:, None] - middles) / thrust.correlation_days)
-    found: FloatArray = np.einsum("aik,ab,bjk->ij", effects, like, effects)
-    return found
+    spread: FloatArray = np.einsum("aik,ab,bjk->ij", effects, like, effects)
+    return spread
 
 
 def cover(task: DeliveryTask) -> list[BoxStage]:
@@ -270,8 +270,8 @@ def dv_bounds(task: DeliveryTask) -> tuple[list[float], float]:
     pulls = [ways @ np.linalg.inv(correction.w) for correction in corrections]
 
     def most(covariance: FloatArray, along: FloatArray) -> FloatArray:
-        found: FloatArray = bound * np.linalg.norm(along @ _root(covariance), axis=-1)
-        return found
+        bounds: FloatArray = bound * np.linalg.norm(along @ _root(covariance), axis=-1)
+        return bounds
 
     first, widen = corrections[0], 1.0 / float(np.cos(NEXT_RAD))
     spent = bound * np.abs(pulls[0] @ task.injection).sum(axis=1) + most(first.unknown, pulls[0])
@@ -304,8 +304,8 @@ def _directions() -> FloatArray:
 def _root(covariance: FloatArray) -> FloatArray:
     """(3, 3) that takes independent numbers of size 1 to errors of this covariance."""
     values, axes = np.linalg.eigh(covariance)
-    found: FloatArray = axes * np.sqrt(np.maximum(values, 0.0))
-    return found
+    root: FloatArray = axes * np.sqrt(np.maximum(values, 0.0))
+    return root
 
 
 def _injected(task: DeliveryTask, bound: float) -> BoxStage:
@@ -316,11 +316,11 @@ def _injected(task: DeliveryTask, bound: float) -> BoxStage:
     unknown = bound * np.sqrt(np.diag(task.corrections[0].unknown))
     centres = middles @ task.injection.T
     zero = np.zeros(len(centres))
-    found = _filled(centres - half - unknown, centres + half + unknown, zero, 0.0)
+    stage = _filled(centres - half - unknown, centres + half + unknown, zero, 0.0)
     corners = (middles[:, None] + bound / PIECES * SIGNS) @ task.injection.T
     if unknown.any():
         corners = (corners[:, :, None] + SIGNS * unknown).reshape(len(centres), -1, 3)
-    return replace(found, corners=corners)
+    return replace(stage, corners=corners)
 
 
 def _corrected(task: DeliveryTask, stage: BoxStage, number: int, most: float) -> BoxStage:
@@ -352,11 +352,13 @@ def _corrected(task: DeliveryTask, stage: BoxStage, number: int, most: float) ->
         # the size's error leaves a share of f itself; the direction's lies across the burn
         wrong = bound * burns.size * np.abs(corners).max(axis=1)
         along = np.einsum("nki,ji->nkj", burn, correction.w) / np.maximum(sizes, 1e-12)[..., None]
-        whole = (np.sign(along.min(axis=1)) != np.sign(along.max(axis=1))) | (
+        any_direction = (np.sign(along.min(axis=1)) != np.sign(along.max(axis=1))) | (
             dv[:, None] > 2.0 * sizes.min(axis=1)[:, None]
         )
         least = np.abs(along).min(axis=1)
-        across = np.where(whole, rows, np.sqrt(np.maximum(rows**2 - (0.9 * least) ** 2, 0.0)))
+        across = np.where(
+            any_direction, rows, np.sqrt(np.maximum(rows**2 - (0.9 * least) ** 2, 0.0))
+        )
         reach = wrong + angle * dv[:, None] * across + still
         lows.append(-reach)
         highs.append(reach)
@@ -389,8 +391,8 @@ def fly_deliveries(task: DeliveryTask, count: int, seed: int, cut: bool) -> Tria
     bound = burns.bound_sigmas
 
     def drawn(width: int) -> FloatArray:
-        found: FloatArray = rng.standard_normal((count, width))
-        return np.clip(found, -bound, bound) if cut else found
+        sample: FloatArray = rng.standard_normal((count, width))
+        return np.clip(sample, -bound, bound) if cut else sample
 
     def spread(covariance: FloatArray) -> FloatArray:
         """Errors (count, 3), cut within the ellipsoid of the bound."""
@@ -432,5 +434,5 @@ def biased_navigation(arc: ArcMeasurements, count: int, seed: int) -> FloatArray
     rng = np.random.default_rng(seed)
     noise = arc.sigmas * rng.standard_normal((count, len(arc.sigmas)))
     wrong = noise + rng.standard_normal((count, arc.shared.shape[1])) @ arc.shared.T
-    found: FloatArray = wrong @ arc.gain().T
-    return found
+    state_errors: FloatArray = wrong @ arc.gain().T
+    return state_errors

@@ -110,13 +110,13 @@ def delivery_folder(settings_path: Path, output: Path, progress: Progress) -> De
         trials = fly_deliveries(task, section.trials, section.seed, cut=False)
         bar.advance()
         result = DeliveryResult(task, boxes, trials)
-        with replace_folder(output, DELIVERY_KIND) as place:
-            DELIVERY_STAGES.write(place / STAGES_CSV, result.stages())
-            DELIVERY_BOXES.write(place / BOXES_CSV, _box_cells(result))
-            DELIVERY_ARRIVALS.write(place / ARRIVALS_CSV, _arrival_cells(result))
+        with replace_folder(output, DELIVERY_KIND) as staging:
+            DELIVERY_STAGES.write(staging / STAGES_CSV, result.stages())
+            DELIVERY_BOXES.write(staging / BOXES_CSV, _box_cells(result))
+            DELIVERY_ARRIVALS.write(staging / ARRIVALS_CSV, _arrival_cells(result))
             plane = task.path.plane
             write_manifest(
-                place,
+                staging,
                 DELIVERY_KIND,
                 command="orbit delivery",
                 options=msgspec.to_builtins(settings),

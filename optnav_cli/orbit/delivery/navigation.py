@@ -43,8 +43,8 @@ class ArcMeasurements:
     def gain(self) -> FloatArray:
         """(6, n) d state / d measurement of the estimate."""
         weighted = self.jacobian / self.sigmas[:, None] ** 2
-        found: FloatArray = self._random() @ weighted.T
-        return found
+        gains: FloatArray = self._random() @ weighted.T
+        return gains
 
     def _random(self) -> FloatArray:
         prior = np.diag([PRIOR_M**-2] * 3 + [PRIOR_M_S**-2] * 3)
@@ -52,8 +52,8 @@ class ArcMeasurements:
         # scaled to a unit diagonal: metres and their rates differ by ten powers of ten
         normal = scaled.T @ scaled + prior
         size = np.sqrt(np.diag(normal))
-        found: FloatArray = np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size)
-        return found
+        covariance: FloatArray = np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size)
+        return covariance
 
     def covariance(self) -> tuple[FloatArray, FloatArray]:
         """(6, 6) of the state: by the noise alone, and with what is considered."""
@@ -73,9 +73,9 @@ def arc_before(path: ReferencePath, settings: DeliverySettings, tdb_s: float) ->
         rows.append(_optical(path, settings.optical, tdb_s))
     width = sum(row[2].shape[1] for row in rows)
     shared, at = np.zeros((sum(len(row[1]) for row in rows), width)), [0, 0]
-    for _, sigmas, own in rows:
-        shared[at[0] : at[0] + len(sigmas), at[1] : at[1] + own.shape[1]] = own
-        at = [at[0] + len(sigmas), at[1] + own.shape[1]]
+    for _, sigmas, effects in rows:
+        shared[at[0] : at[0] + len(sigmas), at[1] : at[1] + effects.shape[1]] = effects
+        at = [at[0] + len(sigmas), at[1] + effects.shape[1]]
     if not len(shared):
         day = (tdb_s - path.tdb_s[0]) / DAY_S
         raise NoSolutionError(
@@ -113,32 +113,32 @@ def _radio(
     rows, sigmas, shared = [], [], []
     for number, station in enumerate(settings.station):
         lat, lon = np.radians([station.lat_deg, station.lon_deg]).tolist()
-        place = xyz_from_latlon(lat, lon, EARTH_M)
+        station_m = xyz_from_latlon(lat, lon, EARTH_M)
         for at, time in enumerate(times):
             turn = _earth_turn(float(time))
-            up = turn @ place
+            up = turn @ station_m
             spin = np.cross([0.0, 0.0, EARTH_RATE], up)
-            away = states[at] - earth[at] - np.concatenate([up, spin])
-            distance = float(np.linalg.norm(away[:3]))
-            way = away[:3] / distance
+            offset = states[at] - earth[at] - np.concatenate([up, spin])
+            distance = float(np.linalg.norm(offset[:3]))
+            way = offset[:3] / distance
             sine = float(way @ up) / EARTH_M
             if sine < np.sin(np.radians(radio.min_elevation_deg)):
                 continue
-            rate_way = (away[3:] - float(away[3:] @ way) * way) / distance
+            rate_way = (offset[3:] - float(offset[3:] @ way) * way) / distance
             for kind, sigma in ((0, radio.range_m), (1, 1e-3 * radio.rate_mm_s)):
                 by_state = np.concatenate([way, np.zeros(3)] if kind == 0 else [rate_way, way])
-                own = np.zeros(width)
+                effects = np.zeros(width)
                 first = 7 * number
-                own[first + kind] = (radio.range_bias_m, 1e-3 * radio.rate_bias_mm_s)[kind]
+                effects[first + kind] = (radio.range_bias_m, 1e-3 * radio.rate_bias_mm_s)[kind]
                 by_place = way if kind == 0 else rate_way + np.cross(way, [0.0, 0.0, EARTH_RATE])
-                own[first + 2 : first + 5] = -radio.place_m * (turn.T @ by_place)
+                effects[first + 2 : first + 5] = -radio.place_m * (turn.T @ by_place)
                 if kind == 0:
-                    own[first + 5] = radio.troposphere_m / sine
-                    own[first + 6] = radio.ionosphere_m / sine
-                own[-1] = by_state @ light[at]
+                    effects[first + 5] = radio.troposphere_m / sine
+                    effects[first + 6] = radio.ionosphere_m / sine
+                effects[-1] = by_state @ light[at]
                 rows.append(by_state @ phi[at])
                 sigmas.append(sigma)
-                shared.append(own)
+                shared.append(effects)
     return np.array(rows).reshape(-1, 6), np.array(sigmas), np.array(shared).reshape(-1, width)
 
 
@@ -149,21 +149,21 @@ def _optical(
     rows, sigmas, shared = [], [], []
     for at, time in enumerate(times):
         there = path.motion.place(float(time))[:3]
-        away = states[at, :3] - there
-        if path.motion.centre != "sun" and np.linalg.norm(states[at, :3]) < np.linalg.norm(away):
-            away = states[at, :3]
-        distance = float(np.linalg.norm(away))
-        way = away / distance
+        offset = states[at, :3] - there
+        if path.motion.centre != "sun" and np.linalg.norm(states[at, :3]) < np.linalg.norm(offset):
+            offset = states[at, :3]
+        distance = float(np.linalg.norm(offset))
+        way = offset / distance
         across = max(optical.direction_arcsec * ARCSEC * distance, optical.least_m)
         along = max(optical.range_share * distance, optical.least_m)
         for number, (axis, sigma) in enumerate(
             zip((way, *perpendicular_basis(way)), (along, across, across), strict=True)
         ):
-            own = np.zeros(3)
-            own[number] = optical.bias_share * sigma
+            effects = np.zeros(3)
+            effects[number] = optical.bias_share * sigma
             rows.append(np.concatenate([axis, np.zeros(3)]) @ phi[at])
             sigmas.append(sigma)
-            shared.append(own)
+            shared.append(effects)
     return np.array(rows), np.array(sigmas), np.array(shared)
 
 
@@ -176,17 +176,17 @@ def _light(
 ) -> FloatArray:
     """(n, 6) how a wrong light pressure moves past states against the one at the end, 1 sigma."""
     sun = np.array([_sun(path, float(time)) for time in times])
-    away = states[:, :3] - sun
-    distance = np.linalg.norm(away, axis=1)[:, None]
+    offset = states[:, :3] - sun
+    distance = np.linalg.norm(offset, axis=1)[:, None]
     size = radio.light_pressure_m_s2 * radio.light_pressure_share
-    pushes = size * (AU_M / distance) ** 2 * away / distance
+    pushes = size * (AU_M / distance) ** 2 * offset / distance
     # what acts between a time and the end moves the former, seen from the end, backwards
     impulses = np.hstack([np.zeros_like(pushes), pushes])
     ends = np.einsum("nij,nj->ni", np.linalg.inv(phi), impulses)
     steps = np.gradient(times)
     later = np.cumsum((ends * steps[:, None])[::-1], axis=0)[::-1]
-    found: FloatArray = -np.einsum("nij,nj->ni", phi, later)
-    return found
+    moved: FloatArray = -np.einsum("nij,nj->ni", phi, later)
+    return moved
 
 
 def _earth(path: ReferencePath, times: FloatArray) -> FloatArray:

@@ -92,7 +92,7 @@ def plane_plots(folder: Path, results: Mapping[str, float]) -> list[tuple[str, P
     turn = np.linspace(0.0, 2.0 * np.pi, 73)
     circle = results["impact_km"] * np.column_stack([np.cos(turn), np.sin(turn)])
     corners = np.vstack([boxes[:, :2], boxes[:, 2:]])
-    found = []
+    plots = []
     for name, middle, around in (
         ("about the target", aim, np.vstack([corners + aim, circle])),
         ("errors", np.zeros(2), corners),
@@ -107,8 +107,8 @@ def plane_plots(folder: Path, results: Mapping[str, float]) -> list[tuple[str, P
             plot.marks([0.0], [0.0], "s4", "cross", 4.0)
         _outline(plot, boxes, middle)
         plot.dots(dots[:, 0] + middle[0], dots[:, 1] + middle[1], "s1", 1.4)
-        found.append((name, plot))
-    return found
+        plots.append((name, plot))
+    return plots
 
 
 _SIDES = ("xi_km_from", "eta_km_from", "xi_km_to", "eta_km_to")
@@ -136,9 +136,9 @@ def dv_plot(rows: Sequence[CsvRow]) -> Plot:
         PlotAxis((0.0, 1.1 * float(bound.max(initial=1e-3))), "m/s"),
     )
     plot = Plot(*axes, width=WIDE, height=260)
-    for place, high, low in zip(numbers, bound, trials, strict=True):
-        plot.bars([place - 0.3, place], [float(high)], "s2")
-        plot.bars([place, place + 0.3], [float(low)], "s1")
+    for number, high, low in zip(numbers, bound, trials, strict=True):
+        plot.bars([number - 0.3, number], [float(high)], "s2")
+        plot.bars([number, number + 0.3], [float(low)], "s1")
     return plot
 
 

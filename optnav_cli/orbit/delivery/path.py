@@ -47,9 +47,9 @@ def b_plane(state: FloatArray, gm: float, pole: FloatArray) -> BPlane:
     S = p/e + q sqrt(1 - 1/e^2), p to the pericentre, q = h x p; B = |a| sqrt(e^2 - 1) S x h.
     Raises NoSolutionError for a path that is no hyperbola.
     """
-    place, speed = state[:3], state[3:]
-    r = float(np.linalg.norm(place))
-    momentum = np.cross(place, speed)
+    position, speed = state[:3], state[3:]
+    r = float(np.linalg.norm(position))
+    momentum = np.cross(position, speed)
     energy = 0.5 * float(speed @ speed) - gm / r
     if energy <= 0.0:
         raise NoSolutionError(
@@ -58,7 +58,7 @@ def b_plane(state: FloatArray, gm: float, pole: FloatArray) -> BPlane:
             ReasonCode.NO_SOLUTION,
         )
     a = gm / (2.0 * energy)  # of the hyperbola, positive
-    vector = np.cross(speed, momentum) / gm - place / r
+    vector = np.cross(speed, momentum) / gm - position / r
     e = float(np.linalg.norm(vector))
     p, h = vector / e, momentum / np.linalg.norm(momentum)
     q = np.cross(h, p)
@@ -68,7 +68,7 @@ def b_plane(state: FloatArray, gm: float, pole: FloatArray) -> BPlane:
     e_eta /= np.linalg.norm(e_eta)
     e_xi = np.cross(e_eta, s)
     # M = e sinh H - H; before the pericentre the radial speed is negative
-    sinh = float(place @ speed) / (e * np.sqrt(gm * a))
+    sinh = float(position @ speed) / (e * np.sqrt(gm * a))
     since = (e * sinh - np.arcsinh(sinh)) * np.sqrt(a**3 / gm)
     aim = np.array([b @ e_xi, b @ e_eta, -since])
     return BPlane(aim, float(np.sqrt(2.0 * energy)), a * (e - 1.0))
@@ -90,8 +90,8 @@ class TargetMotion:
             body = load_body(centre)
             self.gm, self.radius_m = body.gm_m3_s2, body.radius_m
         self.pole = body_from_inertial(target, begin_s)[2]
-        away = float(np.linalg.norm(places[-1]))
-        self.sphere_m = away * (target.gm_m3_s2 / self.gm) ** 0.4
+        distance = float(np.linalg.norm(places[-1]))
+        self.sphere_m = distance * (target.gm_m3_s2 / self.gm) ** 0.4
 
     def place(self, tdb_s: float) -> FloatArray:
         """The target's state (6,) from the centre."""
@@ -99,20 +99,20 @@ class TargetMotion:
 
     def rates(self, t: float, y: FloatArray) -> FloatArray:
         there = self._spline(t)
-        away = y[:3] - there
+        offset = y[:3] - there
         pulls = np.zeros(3)
         gradient = np.zeros((3, 3))
-        for gm, x in ((self.gm, y[:3]), (self.target.gm_m3_s2, away)):
+        for gm, x in ((self.gm, y[:3]), (self.target.gm_m3_s2, offset)):
             r = float(np.sqrt(x @ x))
             pulls -= gm / r**3 * x
             gradient += gm / r**3 * (3.0 / r**2 * np.outer(x, x) - np.eye(3))
         distance = float(np.sqrt(there @ there))
         pulls -= self.target.gm_m3_s2 / distance**3 * there
         phi = y[6:].reshape(6, 6)
-        found: FloatArray = np.concatenate(
+        derivative: FloatArray = np.concatenate(
             [y[3:6], pulls, phi[3:].ravel(), (gradient @ phi[:3]).ravel()]
         )
-        return found
+        return derivative
 
     def fly(self, state: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """States (n, 6) and transitions (n, 6, 6) at rising times (n,) from the first on."""
@@ -201,8 +201,10 @@ class ReferencePath:
 
     def from_transition(self, transition: FloatArray) -> FloatArray:
         """The same by the transition (6, 6) from the first time to a time before the entry."""
-        found: FloatArray = self.by_state @ self.transitions[self.entry] @ np.linalg.inv(transition)
-        return found
+        partials: FloatArray = (
+            self.by_state @ self.transitions[self.entry] @ np.linalg.inv(transition)
+        )
+        return partials
 
 
 def reference_path(
@@ -257,15 +259,15 @@ def _entry(motion: TargetMotion, state: FloatArray, begin: float, end: float) ->
     """When a path first comes to the target's sphere. Raises NoSolutionError if it never does."""
 
     def inside(t: float, y: FloatArray) -> float:
-        away = y[:3] - motion.place(t)[:3]
-        return float(np.linalg.norm(away) - motion.sphere_m)
+        offset = y[:3] - motion.place(t)[:3]
+        return float(np.linalg.norm(offset) - motion.sphere_m)
 
     inside.terminal = True  # type: ignore[attr-defined]
-    found = motion.follow(state, (begin, end), (inside,), rtol=1e-9, atol=1.0)
-    if found.status != 1:
+    solution = motion.follow(state, (begin, end), (inside,), rtol=1e-9, atol=1.0)
+    if solution.status != 1:
         raise NoSolutionError(
             f"the path does not come within {motion.sphere_m / 1e3:.0f} km of "
             f"{motion.target.name} in the time; state another start",
             ReasonCode.NO_SOLUTION,
         )
-    return float(found.t[-1])
+    return float(solution.t[-1])

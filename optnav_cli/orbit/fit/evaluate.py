@@ -113,10 +113,10 @@ class OrbitEvaluation:
         lines = [format_table(self.at_fixes)]
         if self.fixes_rms_m is not None:
             r, n, b = self.fixes_rms_m
-            own = self.figures
+            orbit = self.figures
             lines.append(
                 f"the fixes used, themselves, rms: R {r:.1f} m, N {n:.1f} m, B {b:.1f} m; the "
-                f"orbit R {own.r.rms:.1f} m, N {own.n.rms:.1f} m, B {own.b.rms:.1f} m"
+                f"orbit R {orbit.r.rms:.1f} m, N {orbit.n.rms:.1f} m, B {orbit.b.rms:.1f} m"
             )
         velocity = self._velocity()
         if velocity is not None:
@@ -187,11 +187,11 @@ def evaluate_orbit(folder: Path, truth: Path) -> OrbitEvaluation:
         if not rows:
             raise DataError(f"{truth}: has none of {what}")
         try:
-            found = evaluate(rows, truths, body.radius_m)
+            evaluation = evaluate(rows, truths, body.radius_m)
         except DataError as error:
             raise DataError(f"{truth}: {error}") from error
-        found = Evaluation(found.frames)
-        return OrbitEvaluation(found, errors_of(orbit, truths), _fixes_rms(folder, found))
+        evaluation = Evaluation(evaluation.frames)
+        return OrbitEvaluation(evaluation, errors_of(orbit, truths), _fixes_rms(folder, evaluation))
 
 
 def _rows_of_path(orbit: StoredOrbit, truths: Sequence[Truth]) -> Iterator[Solution]:
@@ -199,13 +199,13 @@ def _rows_of_path(orbit: StoredOrbit, truths: Sequence[Truth]) -> Iterator[Solut
     path = OrbitPath(orbit)
     inside = [t for t in truths if path.first_s <= t.tdb_s <= path.last_s]
     inside.sort(key=lambda one: one.tdb_s)
-    found = path.rows(np.array([one.tdb_s for one in inside])).rows
+    predicted = path.rows(np.array([one.tdb_s for one in inside])).rows
     frame = orbit.body.catalog_frame
-    for one, state, spread in zip(inside, found.states, found.covariances, strict=True):
+    for one, state, spread in zip(inside, predicted.states, predicted.covariances, strict=True):
         turn = stated_turn(orbit.ephemeris, one.tdb_s)
-        place = frame.transform_to_catalog(turn @ state[:3])
+        position = frame.transform_to_catalog(turn @ state[:3])
         covariance = frame.transform_covariance_to_catalog(turn @ spread[:3, :3] @ turn.T)
-        yield Solution(one.file, one.utc, Fix(Method.ORBIT, place, covariance))
+        yield Solution(one.file, one.utc, Fix(Method.ORBIT, position, covariance))
 
 
 def errors_of(orbit: StoredOrbit, truths: Sequence[Truth]) -> OrbitErrors:
@@ -216,10 +216,10 @@ def errors_of(orbit: StoredOrbit, truths: Sequence[Truth]) -> OrbitErrors:
     order = np.unique(times, return_index=True)[1]
     order = order[times[order] > orbit.rows.times[0] - SAME_ROW_S]
     times, places = times[order], places[order]
-    found = OrbitPath(orbit).rows(times)
-    states, covariances = found.rows.states, found.rows.covariances
+    prediction = OrbitPath(orbit).rows(times)
+    states, covariances = prediction.rows.states, prediction.rows.covariances
     # without those after the path meets the body
-    kept = np.isin(times, found.rows.times)
+    kept = np.isin(times, prediction.rows.times)
     times, places = times[kept], places[kept]
     errors = np.full((len(times), 6), np.nan)
     offsets = np.empty((len(times), 3))
@@ -246,8 +246,8 @@ def _slopes(
     radians = np.sqrt(np.linalg.norm(states[:, :3], axis=1) ** 3 / body.gm_m3_s2)
     gaps = np.diff(times, prepend=np.nan, append=np.nan)
     near = np.fmax(gaps[:-1], gaps[1:]) < radians / PLACES_A_RADIAN
-    found: FloatArray = CubicSpline(times, offsets)(times, 1)
-    slopes[near] = found[near]
+    derivative: FloatArray = CubicSpline(times, offsets)(times, 1)
+    slopes[near] = derivative[near]
     return slopes
 
 

@@ -94,8 +94,8 @@ def prediction_lines(path: OrbitPath, prediction: Prediction) -> list[str]:
             latitude, height_m = np.degrees(lat), float(above)
         axes = rnb_axes(state[:3], state[3:])
         sigmas = np.sqrt(np.diag(axes @ rows.covariances[k][:3, :3] @ axes.T))
-        place = f"{latitude:.4f}", f"{longitude:.4f}", f"{height_m / 1e3:.3f}"
-        lines.append((utc_from_tdb_s(time, 3), *place, *(f"{s:.1f}" for s in sigmas)))
+        position = f"{latitude:.4f}", f"{longitude:.4f}", f"{height_m / 1e3:.3f}"
+        lines.append((utc_from_tdb_s(time, 3), *position, *(f"{s:.1f}" for s in sigmas)))
     return align_table(lines, left=(0,))
 
 
@@ -138,21 +138,23 @@ def time_pictures(run: Path, folder: Path, output: Path, margin_s: float, craft:
 
     Raises DataError for a run about another body, NothingToDoError where the orbit passes none.
     """
-    found = read_fixes([read_run(run)], timeless=True)
-    path = known_orbit(folder, found.body, craft)
+    run_fixes = read_fixes([read_run(run)], timeless=True)
+    path = known_orbit(folder, run_fixes.body, craft)
     if path.note:
         log.info("%s", path.note)
-    timed = picture_times(path, found.fixes, margin_s)
+    timed = picture_times(path, run_fixes.fixes, margin_s)
     with replace_file(output, make_prefix_test(b"file,utc_stamp,utc,")) as new:
         PICTURE_TIMES.write(new, map(_time_cells, timed))
-    best = [(one.best.tdb_s, one.fix.tdb_s) for one in timed if one.best is not None]
+    best = [
+        (picture.best.tdb_s, picture.fix.tdb_s) for picture in timed if picture.best is not None
+    ]
     offsets = [time - stamp for time, stamp in best if np.isfinite(stamp)]
     if not best:
         raise NothingToDoError(
             f"{run}: {folder} passes none of its {len(timed)} positions within 3 sigmas; see that "
             "it is of the same flight, or search farther by --margin"
         )
-    several = sum(len(one.passes) > 1 for one in timed)
+    several = sum(len(picture.passes) > 1 for picture in timed)
     lines = [f"{len(best)} of {len(timed)} pictures lie on the orbit; {several} at several times"]
     if offsets:
         lines.append(f"median of time less stamp: {np.median(offsets):+.6f} s")
@@ -164,5 +166,7 @@ def _time_cells(timed: PictureTime) -> dict[str, object]:
     cells: dict[str, object] = {"file": timed.fix.file, "utc_stamp": timed.fix.utc}
     if best is not None:
         cells |= {"utc": utc_from_tdb_s(best.tdb_s), "sigma_s": best.sigma_s}
-        cells["candidates"] = ";".join(utc_from_tdb_s(one.tdb_s) for one in timed.passes)
+        cells["candidates"] = ";".join(
+            utc_from_tdb_s(candidate.tdb_s) for candidate in timed.passes
+        )
     return cells

@@ -20,46 +20,46 @@ def first_orbit(problem: OrbitProblem) -> tuple[int, FloatArray]:
     if problem.priors:
         return problem.prior_nodes[0], problem.priors[0].state
     places = np.array([problem.inertial(number) for number in range(len(problem.fixes))])
-    found: tuple[float, int, FloatArray] | None = None
-    for one, other in _pairs(problem, places):
+    best: tuple[float, int, FloatArray] | None = None
+    for start, other in _pairs(problem, places):
         try:
-            state = _through(problem, places, one, other)
-            score = _score(problem, places, one, state)
+            state = _through(problem, places, start, other)
+            score = _score(problem, places, start, state)
         except NoSolutionError:
             continue
-        if found is None or score < found[0]:
-            found = score, problem.node_of[one], state
+        if best is None or score < best[0]:
+            best = score, problem.node_of[start], state
         if score < GOOD_SCORE:
             break
-    if found is None:
+    if best is None:
         raise NoSolutionError(
             "no two fixes lie near enough in time for a first orbit; state a [[prior]]"
         )
-    return found[1], found[2]
+    return best[1], best[2]
 
 
 def _pairs(problem: OrbitProblem, places: FloatArray) -> list[tuple[int, int]]:
     """Pairs of fixes, those with the best gap first."""
     times = np.array([fix.tdb_s for fix in problem.fixes])
-    found = []
-    for one in range(len(times)):
-        radian = problem.motion.radian_s(places[one])
-        for other in range(one + 1, len(times)):
-            gap = (times[other] - times[one]) / radian
+    candidates = []
+    for earlier in range(len(times)):
+        radian = problem.motion.radian_s(places[earlier])
+        for other in range(earlier + 1, len(times)):
+            gap = (times[other] - times[earlier]) / radian
             if gap > MAX_GAP_RAD:
                 break
             if gap > 1e-3:
                 # an early pair is as good as a later one, but one of them may be wrong
-                found.append((abs(math.log(gap / BEST_GAP_RAD)), one, other))
-        if len({pair[1] for pair in found}) >= MAX_FIRST:
+                candidates.append((abs(math.log(gap / BEST_GAP_RAD)), earlier, other))
+        if len({pair[1] for pair in candidates}) >= MAX_FIRST:
             break
-    best = sorted(found)
+    best = sorted(candidates)
     spread: list[tuple[int, int]] = []
     starts: dict[int, int] = {}
-    for _, one, other in best:  # no more than two that start at one fix
-        if starts.get(one, 0) < 2:
-            spread.append((one, other))
-            starts[one] = starts.get(one, 0) + 1
+    for _, earlier, other in best:  # no more than two that start at one fix
+        if starts.get(earlier, 0) < 2:
+            spread.append((earlier, other))
+            starts[earlier] = starts.get(earlier, 0) + 1
     return spread[:MAX_PAIRS]
 
 

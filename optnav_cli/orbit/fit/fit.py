@@ -118,29 +118,29 @@ class OrbitSolver:
                 f"the {self.problem.measured} from {first} to {last} fit no one orbit ({error}); "
                 "see that they are of one flight, and fit parts of it"
             ) from error
-        found = self.solve(arc)
+        smoothed = self.solve(arc)
         self.steps += 1
         width = self.problem.width
-        deltas = found.deviations[:, :width, 0]
+        deltas = smoothed.deviations[:, :width, 0]
         if not np.abs(deltas[:, :6]).max() < RUNAWAY_M:
             text = f"the steps of the fit run away; the {self.problem.measured} fit no orbit"
             raise NoSolutionError(text)
         parameters = at.parameters + deltas[-1, 6:]
-        sigmas = np.sqrt(np.maximum(np.diagonal(found.covariances, axis1=1, axis2=2), 1e-300))
+        sigmas = np.sqrt(np.maximum(np.diagonal(smoothed.covariances, axis1=1, axis2=2), 1e-300))
         sigmas = sigmas[:, :width]
         self.sigmas = sigmas[0, :6]
         size = float(np.max(np.abs(deltas) / sigmas))
-        return Trajectory(at.states + deltas[:, :6], parameters), found, size
+        return Trajectory(at.states + deltas[:, :6], parameters), smoothed, size
 
     def settle(self, at: Trajectory, weights: FloatArray) -> tuple[Trajectory, SmoothedArc]:
         """The trajectory that no step moves. Raises NoSolutionError where there is none."""
         size = math.inf
         for _ in range(MAX_STEPS):
             fresh, before = self.sigmas is None, size
-            at, found, size = self.step(at, weights)
+            at, smoothed, size = self.step(at, weights)
             # steps near the end shrink by ever smaller shares: the next one is known to be short
             if not fresh and (size < SETTLED or size * size < SETTLED * min(before, NEAR)):
-                return at, found
+                return at, smoothed
             if not math.isfinite(size):
                 break
         raise NoSolutionError(
@@ -172,7 +172,7 @@ def _fit_whole_seconds(problem: OrbitProblem, model: NoiseModel, gate_probabilit
         fit = _fitted(with_whole_seconds(problem), model, gate_probability)
     except NoSolutionError:
         return False
-    residuals = np.array([one.residual_m for one in fit.residuals])
+    residuals = np.array([residual.residual_m for residual in fit.residuals])
     return lie_within_half_a_second(fit.problem, fit.trajectory, residuals)
 
 
@@ -186,33 +186,33 @@ def _fitted(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -
     problem = with_time_errors(problem, lambda rough: _start(rough, OrbitSolver(rough, model))[0])
     solver = OrbitSolver(problem, model)
     at, weights = _start(problem, solver)
-    at, found = solver.settle(at, np.ones(len(weights)))
-    residuals = _residuals(problem, at, found, np.ones(len(weights), bool))
-    _check_breaks(problem, at, found, residuals)
+    at, smoothed = solver.settle(at, np.ones(len(weights)))
+    residuals = _residuals(problem, at, smoothed, np.ones(len(weights), bool))
+    _check_breaks(problem, at, smoothed, residuals)
     used = weights > DOUBTED
     gate = float(chdtri(3, gate_probability))
     seen: set[bytes] = set()
     for number in range(MAX_ROUNDS):
         if number or not used.all():  # all of them are solved above
-            at, found = solver.settle(at, used.astype(np.float64))
-            residuals = _residuals(problem, at, found, used)
+            at, smoothed = solver.settle(at, used.astype(np.float64))
+            residuals = _residuals(problem, at, smoothed, used)
         judged = _judged(residuals, gate)
         if (judged == used).all() or judged.tobytes() in seen:
             break
         seen.add(used.tobytes())
         used = judged
     inflation, remarks = check_pattern(problem, at, used, alone=False)
-    remarks += _judge(problem, found, residuals)
-    covariances = inflation * with_considered(problem, at, found, used, solver)
+    remarks += _judge(problem, smoothed, residuals)
+    covariances = inflation * with_considered(problem, at, smoothed, used, solver)
     return OrbitFit(
         problem,
         at,
         covariances[:, :6, :6] + problem.motion.local(at.states),
         covariances[-1, : problem.width, : problem.width],
-        found.disturbances[:, :6, 0],
+        smoothed.disturbances[:, :6, 0],
         residuals,
-        found.chi_square,
-        _freedom(problem, found),
+        smoothed.chi_square,
+        _freedom(problem, smoothed),
         solver.steps,
         [*remarks, *unobserved_remarks(problem, covariances[-1, 6:, 6:])],
         inflation,
@@ -257,10 +257,10 @@ def _start(problem: OrbitProblem, solver: OrbitSolver) -> tuple[Trajectory, Floa
         here = [k for k, i in enumerate(problem.node_of) if low <= i <= high]
         at = Trajectory(states[low : high + 1], parameters)
         for _ in range(ROBUST_STEPS):
-            own = _robust(part, at)
-            if part is problem and own.min() > DOUBTED:
+            robust_weights = _robust(part, at)
+            if part is problem and robust_weights.min() > DOUBTED:
                 break  # none of them is doubted: the fit itself goes on, with all of them
-            at, _, size = inner.step(at, own)
+            at, _, size = inner.step(at, robust_weights)
             if not np.isfinite(at.states).all():
                 raise NoSolutionError("the fixes fit no orbit of these forces")
             if size < (NEAR_WHOLE if part is problem else NEAR):
@@ -307,15 +307,15 @@ def _residuals(
         moved, white = problem.split(number)
         design = np.concatenate([design, moved], axis=1)
         spread = design @ found.covariances[node] @ design.T
-        own = white - spread if used[number] else white + spread
+        covariance = white - spread if used[number] else white + spread
         # of a fix that alone holds a direction of the orbit nothing is left to judge it by
-        values, axes = np.linalg.eigh(own)
+        values, axes = np.linalg.eigh(covariance)
         kept = values > 1e-6 * np.trace(fix.covariance_m2)
         # what it has in common with near ones speaks neither for nor against it
         common = moved @ found.deviations[node, problem.width :, 0]
         along = axes[:, kept].T @ (residual - common)
         chi_square = float((along**2 / values[kept]).sum())
-        residuals.append(FixResidual(residual, own, chi_square, bool(used[number])))
+        residuals.append(FixResidual(residual, covariance, chi_square, bool(used[number])))
     return residuals
 
 
@@ -341,10 +341,10 @@ def _check_breaks(
     best: tuple[float, int, FloatArray, float] | None = None
     for i, (score, info) in enumerate(zip(found.scores, found.information, strict=True)):
         kick = -_solved(info[3:6, 3:6], score[3:6])
-        whole = -_solved(info[:6, :6], score[:6])
-        by_kick, by_all = -float(kick @ score[3:6]), -float(whole @ score[:6])
+        jump = -_solved(info[:6, :6], score[:6])
+        by_kick, by_all = -float(kick @ score[3:6]), -float(jump @ score[:6])
         if best is None or by_all > best[0]:
-            best = by_all, i, whole, by_kick
+            best = by_all, i, jump, by_kick
     if best is None or best[0] < limit:
         return
     chi_square, i, shock, by_kick = best
@@ -435,8 +435,8 @@ def densify(fit: OrbitFit, step_s: float) -> OrbitFit:
             states[inner] = problem.motion.path(states[node], start, dense.times[inner])
     solver = OrbitSolver(dense, "white")
     used = np.array([r.used for r in fit.residuals])
-    at, found = solver.settle(Trajectory(states, fit.trajectory.parameters), used.astype(float))
-    covariances = fit.inflation * with_considered(dense, at, found, used, solver)
+    at, smoothed = solver.settle(Trajectory(states, fit.trajectory.parameters), used.astype(float))
+    covariances = fit.inflation * with_considered(dense, at, smoothed, used, solver)
     return replace(
         fit,
         problem=dense,

@@ -253,8 +253,8 @@ def matrix_of(triangle: Sequence[float] | FloatArray) -> FloatArray:
     size = int((np.sqrt(8.0 * len(values) + 1.0) - 1.0) / 2.0)
     matrix = np.zeros((size, size))
     matrix[np.tril_indices(size)] = values
-    whole: FloatArray = matrix + np.tril(matrix, -1).T
-    return whole
+    full: FloatArray = matrix + np.tril(matrix, -1).T
+    return full
 
 
 def triangle_of(matrix: FloatArray) -> Numbers:
@@ -269,8 +269,8 @@ def toml_of(file: OrbitFile) -> str:
         if isinstance(value, dict):
             tables += _section(name, value)
         elif name == "parameter":
-            for one in value:
-                tables += ["", "[[parameter]]", *_lines(one)]
+            for table in value:
+                tables += ["", "[[parameter]]", *_lines(table)]
         else:
             head += _lines({name: value})
     return "\n".join([*head, *tables]) + "\n"
@@ -283,8 +283,8 @@ def _section(name: str, values: Mapping[str, Any]) -> list[str]:
         if isinstance(value, dict):
             lines += _section(f"{name}.{key}", value)
         elif _is_table(value):
-            for one in value:
-                lines += ["", f"[[{name}.{key}]]", *_lines(one)]
+            for table in value:
+                lines += ["", f"[[{name}.{key}]]", *_lines(table)]
     return lines
 
 

@@ -89,23 +89,23 @@ def fit_runs(
             return fit_zenith_files(runs, output, settings, solve, beside, started)
         read = [read_run(path) for path in runs]
         named = {*solve, *(parameter.name for parameter in settings.parameter)}
-        found = read_fixes(read, lens="focal" in named)
+        run_fixes = read_fixes(read, lens="focal" in named)
         kernels = _kernels(read, settings, beside)
-        ephemeris = load_ephemeris(found.body, [Path(name) for name in kernels])
-        warn_of_unknown_gravity(found.body, settings.forces)
-        priors = orbit_priors(settings.prior, ephemeris, beside, _ends(found.fixes))
-        found = _with_times(found, settings.fixes.time_sigma_s)
+        ephemeris = load_ephemeris(run_fixes.body, [Path(name) for name in kernels])
+        warn_of_unknown_gravity(run_fixes.body, settings.forces)
+        priors = orbit_priors(settings.prior, ephemeris, beside, _ends(run_fixes.fixes))
+        run_fixes = _with_times(run_fixes, settings.fixes.time_sigma_s)
         settings = _with_whole_paths(settings, beside)
-        settings = with_solved(settings, solve, found.fixes, priors)
-        cameras = [camera for _, camera in found.rows]
+        settings = with_solved(settings, solve, run_fixes.fixes, priors)
+        cameras = [camera for _, camera in run_fixes.rows]
         settings = with_lens_errors(settings, cameras)
-        problem = problem_of(found, settings, ephemeris, priors, beside)
-        with replace_folder(output, KIND) as place:
+        problem = problem_of(run_fixes, settings, ephemeris, priors, beside)
+        with replace_folder(output, KIND) as staging:
             fit = fit_orbit(problem, settings.noise.model, settings.gate_probability)
-            _write(place, fit, settings, kernels, found, read)
-            lenses = write_calibrated(place, fit, cameras)
+            _write(staging, fit, settings, kernels, run_fixes, read)
+            lenses = write_calibrated(staging, fit, cameras)
             write_manifest(
-                place,
+                staging,
                 KIND,
                 command="orbit fit",
                 options={"config": msgspec.to_builtins(settings), "solve": list(solve)},
@@ -236,13 +236,13 @@ def _fix(solution: Solution, run: RunFolder, camera: str, where: str) -> OrbitFi
     except DataError as error:
         raise DataError(f"{where}: {error}") from None
     name = run.path.resolve().name
-    place, sight = frame.transform_to_stated(position), None
+    place_m, sight = frame.transform_to_stated(position), None
     if solution.fix is not None:
         sight = sight_of(solution.fix, run.attitude.body.radius_m)
     if sight is not None:
         sight = frame.rotate_to_stated(sight)
     method = str(solution.method)
-    return OrbitFix(solution.file, solution.utc, time, name, camera, place, stated, method, sight)
+    return OrbitFix(solution.file, solution.utc, time, name, camera, place_m, stated, method, sight)
 
 
 def _with_times(found: RunFixes, sigma_s: float) -> RunFixes:

@@ -89,8 +89,8 @@ class OemPath:
 
     def radian_s(self) -> float:
         """How long its motion takes for a radian, s."""
-        place = np.linalg.norm(self._oem.states[:, :3], axis=1)
-        return float((place / np.linalg.norm(self._oem.states[:, 3:], axis=1)).min())
+        distance = np.linalg.norm(self._oem.states[:, :3], axis=1)
+        return float((distance / np.linalg.norm(self._oem.states[:, 3:], axis=1)).min())
 
     def fixed(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Body-fixed states (n, 6) and covariances (n, 3, 3) at times (n,)."""
@@ -160,7 +160,7 @@ class SpkPath:
         spice = self._spice
         try:
             spice.furnsh(str(self._path))
-            found = [
+            states_km = [
                 spice.spkgeo(self._craft, float(time), "J2000", self._centre)[0] for time in times
             ]
         except spice.utils.exceptions.SpiceyError as error:
@@ -170,7 +170,7 @@ class SpkPath:
             ) from None
         finally:
             spice.unload(str(self._path))
-        return 1e3 * np.array(found, np.float64)
+        return 1e3 * np.array(states_km, np.float64)
 
 
 class TlePath:
@@ -226,12 +226,12 @@ class TlePath:
         fixed, spreads = np.empty((len(times), 6)), np.empty((len(times), 3, 3))
         for k, time in enumerate(times):
             utc = _utc_days(float(time))
-            code, place, velocity = self._craft.sgp4(*utc)
+            code, position_km, velocity = self._craft.sgp4(*utc)
             if code:
                 raise DataError(f"{self._path}: SGP4 cannot follow it (code {code}) at that time")
             angle = erfa.gmst82(*utc)
             turn = erfa.rz(angle, np.eye(3))
-            fixed[k, :3] = 1e3 * turn @ np.array(place)
+            fixed[k, :3] = 1e3 * turn @ np.array(position_km)
             fixed[k, 3:] = 1e3 * turn @ np.array(velocity)
             fixed[k, 3:] -= np.cross([0.0, 0.0, EARTH_TURN], fixed[k, :3])
             days = abs(float(time) - self._epoch_s) / DAY_S

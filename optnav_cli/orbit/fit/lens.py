@@ -35,15 +35,15 @@ def without_lens_error(run: RunFolder) -> list[Solution]:
     folder = read_folder(run.path)
     how = PickedFrames(folder.attitude, folder.settings.points.filled, judges_lens=False)
     frames = {frame.file: frame for frame in folder.frames}
-    found = []
+    solutions = []
     for row in run.solutions:
         frame, camera = frames.get(row.file), run.cameras.get(row.file)
         points = (folder.points or {}).get(row.file)
         again = None
         if row.solved and row.method is Method.PICKED_POINTS and frame and camera and points:
             again = how.solve(frame, replace(camera, focal_length_error=0.0), points)
-        found.append(again if again is not None and again.solved else row)
-    return found
+        solutions.append(again if again is not None and again.solved else row)
+    return solutions
 
 
 def sight_of(fix: Fix, radius_m: float) -> FloatArray | None:
@@ -53,15 +53,15 @@ def sight_of(fix: Fix, radius_m: float) -> FloatArray | None:
     """
     if fix.method is not Method.PICKED_POINTS or fix.camera_from_body is None:
         return None
-    place = fix.position_m
+    position = fix.position_m
     ahead = fix.camera_from_body.inv().apply((0.0, 0.0, 1.0))
-    along = float(place @ ahead)
-    under = along**2 - float(place @ place) + radius_m**2
-    away = -along - np.sqrt(under) if under > 0.0 and along < 0.0 else 0.0
-    if away <= 0.0:
+    along = float(position @ ahead)
+    under = along**2 - float(position @ position) + radius_m**2
+    distance = -along - np.sqrt(under) if under > 0.0 and along < 0.0 else 0.0
+    if distance <= 0.0:
         # the middle of the picture is beyond the limb: its points lie about the horizon
-        away = float(np.sqrt(max(float(place @ place) - radius_m**2, 0.0)))
-    sight: FloatArray = -away * np.asarray(ahead, np.float64)
+        distance = float(np.sqrt(max(float(position @ position) - radius_m**2, 0.0)))
+    sight: FloatArray = -distance * np.asarray(ahead, np.float64)
     return sight
 
 
@@ -94,11 +94,11 @@ def write_calibrated(place: Path, fit: OrbitFit, cameras: Sequence[Camera | None
         for name, camera in known.items():
             if p.settings.camera not in ("", name):
                 continue
-            found = _scaled(camera, 1.0 / (1.0 + share), sigma)
+            calibrated = _scaled(camera, 1.0 / (1.0 + share), sigma)
             (place / CAMERAS).mkdir(exist_ok=True)
-            write_camera(place / CAMERAS, found)
+            write_camera(place / CAMERAS, calibrated)
             lines.append(
-                f"{name}: focal length {found.focal_length_px:.6g} px, not "
+                f"{name}: focal length {calibrated.focal_length_px:.6g} px, not "
                 f"{camera.focal_length_px:.6g}, to {100.0 * sigma:.2g} %; in {CAMERAS}/{name}.toml"
             )
     return lines

@@ -117,15 +117,15 @@ def mending(
     for trial in _trials(problem):
         tried.append(trial.advice.partition(" of ")[0])
         try:
-            found = _solve(trial.problem, _carried(problem, at, trial.problem), used, STEPS)
+            solved = _solve(trial.problem, _carried(problem, at, trial.problem), used, STEPS)
         except NoSolutionError:
             continue
-        fall, value = base.chi_square - found.chi_square, trial.value(found.at)
+        fall, value = base.chi_square - solved.chi_square, trial.value(solved.at)
         if fall <= 0.0 or chdtrc(max(len(value), 1), fall) > MENDING_PROBABILITY:
             continue
-        if best is None or found.chi_square < best[0]:
+        if best is None or solved.chi_square < best[0]:
             advice = trial.advice.format(value=", ".join(f"{v:.3g}" for v in value))
-            best = found.chi_square, advice
+            best = solved.chi_square, advice
     sizes = "; ".join(forces_left_out(problem.motion.forces, at.states[0], *_span(problem)))
     if best is None:
         words = f"none of these mends it: {', '.join(tried)}" if tried else ""
@@ -186,9 +186,9 @@ def _solve(problem: OrbitProblem, at: Trajectory, used: BoolArray, steps: int) -
     weights = used.astype(np.float64)
     for _ in range(steps):
         arc, _ = problem.linearise(at, weights)
-        found = smooth(arc)
-        chi_square = found.chi_square + problem.left_over(at, weights)
-        deltas = found.deviations[:, : problem.width, 0]
+        smoothed = smooth(arc)
+        chi_square = smoothed.chi_square + problem.left_over(at, weights)
+        deltas = smoothed.deviations[:, : problem.width, 0]
         at = Trajectory(at.states + deltas[:, :6], at.parameters + deltas[-1, 6:])
     revolution_s = float(2.0 * np.pi * problem.motion.radian_s(at.states[0, :3]))
-    return _Solved(at, chi_square, (*problem.standardised(at, found, used), revolution_s))
+    return _Solved(at, chi_square, (*problem.standardised(at, smoothed, used), revolution_s))

@@ -120,12 +120,12 @@ class ArcMotion:
         if self._noise.density_m2_s3 is not None:
             return np.full((len(positions_m), 3), self._noise.density_m2_s3)
         sizes = np.array([self.sizes.across, self.sizes.along, self.sizes.across])
-        found: FloatArray = self.forces.densities(positions_m)[:, None] * sizes
+        white_densities: FloatArray = self.forces.densities(positions_m)[:, None] * sizes
         if self.forces.planet_rate:
             steady = self.forces.tide_error_m_s2(positions_m)
             # it turns with the planet, and lasts for a radian of that
-            found += 2.0 * steady[:, None] ** 2 / self.forces.planet_rate
-        return found
+            white_densities += 2.0 * steady[:, None] ** 2 / self.forces.planet_rate
+        return white_densities
 
     def local(self, states: FloatArray) -> FloatArray:
         """Covariances (n, 6, 6) of states (n, 6) by what comes and goes with the ground below.
@@ -133,13 +133,13 @@ class ArcMotion:
         The potential that the field lacks changes the speed along the motion while the craft is
         over it, and gives it back after: it neither grows nor moves a prediction.
         """
-        found = np.zeros((len(states), 6, 6))
+        covariances = np.zeros((len(states), 6, 6))
         if self._noise.model == "white" and self._noise.density_m2_s3 is None:
             for k, state in enumerate(states):
                 sigma = self.sizes.local * self.forces.unmodelled_speed(state[:3])
                 along = sigma * rnb_of(state)[1]
-                found[k, 3:, 3:] = np.outer(along, along)
-        return found
+                covariances[k, 3:, 3:] = np.outer(along, along)
+        return covariances
 
     def step(
         self,
@@ -190,8 +190,8 @@ class ArcMotion:
         last = np.cumsum(counts)
         bring = np.repeat(transitions[last - 1], counts, axis=0) @ np.linalg.inv(transitions)
         first = last - counts
-        found: FloatArray = np.add.reduceat(bring @ added @ bring.transpose(0, 2, 1), first)
-        return found
+        summed: FloatArray = np.add.reduceat(bring @ added @ bring.transpose(0, 2, 1), first)
+        return summed
 
 
 def white(density: FloatArray, seconds: float | FloatArray) -> FloatArray:

@@ -151,6 +151,8 @@ def _tdb_text(tdb_s: float) -> str:
     if micro >= 86_400_000_000:
         day, micro = day + 1.0, 0
     date = np.datetime64("2000-01-01") + np.timedelta64(int(day), "D")
-    hour, rest = divmod(micro, 3_600_000_000)
-    minute, rest = divmod(rest, 60_000_000)
-    return f"{date}T{hour:02d}:{minute:02d}:{rest // 1_000_000:02d}.{rest % 1_000_000:06d}"
+    hour, remainder = divmod(micro, 3_600_000_000)
+    minute, remainder = divmod(remainder, 60_000_000)
+    return (
+        f"{date}T{hour:02d}:{minute:02d}:{remainder // 1_000_000:02d}.{remainder % 1_000_000:06d}"
+    )

@@ -33,9 +33,9 @@ METHODS = ("HERMITE", "LAGRANGE", "LINEAR")
 VERSIONS = ("1.0", "2.0", "3.0")
 RADIAL, TANGENTIAL, NORMAL = ("RTN", "RSW", "RIC", "QSW"), "TNW", "NTW"
 J2000_EPOCHS = tuple(
-    f"{date}T12:00:00{rest}"
+    f"{date}T12:00:00{fraction}"
     for date in ("2000-01-01", "2000-001")
-    for rest in ("", ".0", ".00", ".000", ".000000", "Z")
+    for fraction in ("", ".0", ".00", ".000", ".000000", "Z")
 )
 RADIAL_SINE = 1e-9  # between place and velocity: below it no plane of motion is known
 STRUCTURE = ("META_START", "META_STOP", "COVARIANCE_START", "COVARIANCE_STOP")
@@ -92,8 +92,8 @@ def read_oem(path: Path, body: Body | str) -> Oem:
     raw = raw.removeprefix(b"\xef\xbb\xbf").lstrip()
     if not raw.startswith(BEGINNING):
         known = next((what for start, what in OTHER_FILES.items() if raw.startswith(start)), "")
-        found = f"is {known}" if known else "is no CCSDS OEM in keyword form"
-        raise DataError(f"{path}: {found}; an OEM begins with CCSDS_OEM_VERS")
+        fault = f"is {known}" if known else "is no CCSDS OEM in keyword form"
+        raise DataError(f"{path}: {fault}; an OEM begins with CCSDS_OEM_VERS")
     try:
         lines = raw.decode("utf-8").splitlines()
     except UnicodeDecodeError:
@@ -211,14 +211,14 @@ class _Reader:
 
     def _floats(self, number: int, words: Sequence[str]) -> list[float]:
         try:
-            found = [float(word) for word in words]
+            numbers = [float(word) for word in words]
         except ValueError:
-            found = []
-        if len(found) < len(words) or "_" in "".join(words):  # Python takes 1_0 for 10
+            numbers = []
+        if len(numbers) < len(words) or "_" in "".join(words):  # Python takes 1_0 for 10
             raise self._error(number, "has a word where a number belongs")
-        if not np.isfinite(found).all():
+        if not np.isfinite(numbers).all():
             raise self._error(number, "has a number that is not finite")
-        return found
+        return numbers
 
     def _time(self, number: int, text: str) -> float:
         try:
@@ -374,24 +374,28 @@ class _Reader:
 
     def _turned(self, segment: OemSegment, block: _Block) -> dict[float, FloatArray]:
         """Covariances of a segment's usable span, inertial, by their times."""
-        found = {}
-        for one in block.covariances:
-            if len(one.triangle) < len(LOWER[0]):
-                raise self._error(one.line, "this covariance is cut short; write the file again")
-            if not segment.times[0] - SAME_TIME_S <= one.tdb_s <= segment.times[-1] + SAME_TIME_S:
-                raise self._error(one.line, "the covariance is of a time outside of its states")
-            if not segment.contains(one.tdb_s):
+        turned = {}
+        for stated in block.covariances:
+            if len(stated.triangle) < len(LOWER[0]):
+                raise self._error(stated.line, "this covariance is cut short; write the file again")
+            if (
+                not segment.times[0] - SAME_TIME_S
+                <= stated.tdb_s
+                <= segment.times[-1] + SAME_TIME_S
+            ):
+                raise self._error(stated.line, "the covariance is of a time outside of its states")
+            if not segment.contains(stated.tdb_s):
                 continue
             try:
-                state = segment.state_at(one.tdb_s)
+                state = segment.state_at(stated.tdb_s)
             except DataError as error:
-                raise self._error(one.line, str(error)) from None
+                raise self._error(stated.line, str(error)) from None
             matrix = np.zeros((6, 6))
-            matrix[LOWER] = one.triangle
-            turn = np.kron(np.eye(2), self._axes(one, state)).T
+            matrix[LOWER] = stated.triangle
+            turn = np.kron(np.eye(2), self._axes(stated, state)).T
             inertial = 1e6 * turn @ (matrix + np.tril(matrix, -1).T) @ turn.T
-            found[one.tdb_s] = 0.5 * (inertial + inertial.T)
-        return found
+            turned[stated.tdb_s] = 0.5 * (inertial + inertial.T)
+        return turned
 
     def _axes(self, one: _Covariance, state: FloatArray) -> FloatArray:
         """Axes (3, 3) of a covariance as rows, inertial. Raises DataError for others than these."""

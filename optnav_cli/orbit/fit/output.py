@@ -153,21 +153,21 @@ def smoothed_solutions(fit: OrbitFit, solutions: Sequence[Solution]) -> list[Sol
     problem = fit.problem
     numbers = {fix.file: number for number, fix in enumerate(problem.fixes)}
     frame = problem.ephemeris.body.catalog_frame
-    found = []
+    smoothed = []
     for solution in solutions:
         number, before = numbers.get(solution.file), solution.fix
         if number is None or before is None:
-            found.append(solution)
+            smoothed.append(solution)
             continue
-        place, covariance = smoothed_place(fit, number)
+        position, covariance = smoothed_place(fit, number)
         outcome = replace(
             before,
             method=Method.ORBIT,
-            position_m=frame.transform_to_catalog(place),
+            position_m=frame.transform_to_catalog(position),
             covariance_m2=frame.transform_covariance_to_catalog(covariance),
         )
-        found.append(replace(solution, outcome=outcome))
-    return found
+        smoothed.append(replace(solution, outcome=outcome))
+    return smoothed
 
 
 def smoothed_place(fit: OrbitFit, number: int) -> tuple[FloatArray, FloatArray]:

@@ -63,8 +63,8 @@ class OrbitPicture:
         """Covariance (3, 3) of a row's place along R, N, B."""
         rows = self.orbit.rows
         turn = rnb_turn(rows.states[k])
-        place: FloatArray = turn[:3] @ rows.covariances[k] @ turn[:3].T
-        return place
+        covariance: FloatArray = turn[:3] @ rows.covariances[k] @ turn[:3].T
+        return covariance
 
 
 def read_picture(folder: Path) -> OrbitPicture:

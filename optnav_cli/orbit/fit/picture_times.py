@@ -120,7 +120,7 @@ def picture_times(
     stamps = np.array([fix.tdb_s for fix in fixes])
     tracks = [_track(path, *span) for span in path.spans(stamps, margin_s)]
     return [
-        PictureTime(fix, tuple(one for track in tracks for one in _passes(track, fix)))
+        PictureTime(fix, tuple(crossing for track in tracks for crossing in _passes(track, fix)))
         for fix in fixes
     ]
 
@@ -142,16 +142,16 @@ def _track(path: KnownPath, first_s: float, last_s: float) -> _Track:
 
 def _passes(track: _Track, fix: OrbitFix) -> Iterator[Pass]:
     """Local least distances of the path from a fix that lie within 3 sigmas."""
-    away = np.linalg.norm(track.spline(track.times) - fix.position_m, axis=1)
+    gaps_m = np.linalg.norm(track.spline(track.times) - fix.position_m, axis=1)
     step = float(np.diff(track.times).max())
-    ends = np.concatenate([[np.inf], away, [np.inf]])
-    is_least = (away <= ends[:-2]) & (away < ends[2:])
+    ends = np.concatenate([[np.inf], gaps_m, [np.inf]])
+    is_least = (gaps_m <= ends[:-2]) & (gaps_m < ends[2:])
     widest = np.sqrt(np.linalg.eigvalsh(track.covariances + fix.covariance_m2)[:, -1])
-    near = away < track.speeds * step + 6.0 * widest
+    near = gaps_m < track.speeds * step + 6.0 * widest
     for index in np.flatnonzero(is_least & near):
-        found = _nearest(track, int(index), fix, step)
-        if found is not None and found.chi_square <= PASS_GATE:
-            yield found
+        crossing = _nearest(track, int(index), fix, step)
+        if crossing is not None and crossing.chi_square <= PASS_GATE:
+            yield crossing
 
 
 def _nearest(track: _Track, index: int, fix: OrbitFix, step: float) -> Pass | None:

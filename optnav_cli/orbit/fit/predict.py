@@ -107,13 +107,13 @@ class OrbitPath:
         first = _At(self.first_s, stored.states[0], first_spread)
         ahead, met_after = self._walk(last, after, advance)
         back, met_before = self._walk(first, before[::-1], advance)
-        found = [*back[::-1], *inner, *ahead]
+        points = [*back[::-1], *inner, *ahead]
         kinds: list[Kind] = [*len(back) * (AHEAD,), *len(inner) * (WITHIN,), *len(ahead) * (AHEAD,)]
-        states = np.array([at.state for at in found]).reshape(-1, 6)
-        spreads = np.array([at.covariance[:6, :6] for at in found]).reshape(-1, 6, 6)
+        states = np.array([at.state for at in points]).reshape(-1, 6)
+        spreads = np.array([at.covariance[:6, :6] for at in points]).reshape(-1, 6, 6)
         beyond = np.array([kind == AHEAD for kind in kinds], dtype=bool)
         spreads[beyond] += self._motion.local(states[beyond])  # stored states have it
-        rows = OrbitRows(np.array([at.tdb_s for at in found]), kinds, states, spreads)
+        rows = OrbitRows(np.array([at.tdb_s for at in points]), kinds, states, spreads)
         return Prediction(rows, met_after if met_after is not None else met_before)
 
     def radian_s(self) -> float:
@@ -145,15 +145,15 @@ class OrbitPath:
         self, at: _At, times: FloatArray, advance: Callable[[], None]
     ) -> tuple[list[_At], float | None]:
         """On to times ever farther to one side; and when the path meets the body."""
-        found: list[_At] = []
+        points: list[_At] = []
         for time in times:
             meets = self._meeting(at, float(time))
             if meets is not None:
-                return found, meets
+                return points, meets
             at = self._carried(at, float(time), self._names)
-            found.append(at)
+            points.append(at)
             advance()
-        return found, None
+        return points, None
 
     def _meeting(self, at: _At, to_s: float) -> float | None:
         """When the path first lies inside the body's ellipsoid on the way to a time."""
@@ -199,8 +199,8 @@ class OrbitPath:
         return inside_s
 
     def _is_inside(self, tdb_s: float, state: FloatArray) -> bool:
-        place = stated_turn(self.orbit.ephemeris, tdb_s) @ state[:3]
-        return float(np.linalg.norm(place / self._radii_m)) < 1.0
+        position = stated_turn(self.orbit.ephemeris, tdb_s) @ state[:3]
+        return float(np.linalg.norm(position / self._radii_m)) < 1.0
 
 
 def _with_parameters(
@@ -214,18 +214,18 @@ def _with_parameters(
     added: dict[str, FloatArray] = {}
     names: list[str] = []
     taken, alone, column = list(range(6)), [], 6
-    for one in orbit.parameters:
-        count = len(one.value)
-        estimated, moves = one.mode == "estimate", one.name not in OF_FIXES
+    for parameter in orbit.parameters:
+        count = len(parameter.value)
+        estimated, moves = parameter.mode == "estimate", parameter.name not in OF_FIXES
         if estimated and moves:
-            added[one.name] = np.array(one.value)
-            names.append(one.name)
+            added[parameter.name] = np.array(parameter.value)
+            names.append(parameter.name)
             taken += range(column, column + count)
         column += count if estimated else 0
-    for one in orbit.parameters:
-        if one.mode == "consider" and one.name not in OF_FIXES:
-            names.append(one.name)
-            alone.append(np.eye(len(one.value)) * one.prior_sigma**2)
+    for parameter in orbit.parameters:
+        if parameter.mode == "consider" and parameter.name not in OF_FIXES:
+            names.append(parameter.name)
+            alone.append(np.eye(len(parameter.value)) * parameter.prior_sigma**2)
     for number, arc in enumerate(forces.settings.thrust, start=1):
         names.append(f"thrust_{number}")
         alone.append(arc.covariance)

@@ -24,16 +24,16 @@ def orbit_priors(
     """The priors, each at one time; ends: TDB s of the first and last measurement.
 
     Raises ConfigError or DataError for one that is wrong."""
-    found = []
-    for one in settings:
-        if one.oem:
-            found.append(_of_oem(one, ephemeris, beside / one.oem, ends))
+    known = []
+    for section in settings:
+        if section.oem:
+            known.append(_of_oem(section, ephemeris, beside / section.oem, ends))
         else:
-            found.append(_of_state(one, ephemeris))
-    for prior in found:
+            known.append(_of_state(section, ephemeris))
+    for prior in known:
         if not np.linalg.eigvalsh(prior.covariance)[0] > 0.0:
             raise ConfigError(f"[[prior]] {prior.source}: its covariance is not positive definite")
-    return found
+    return known
 
 
 def _of_state(settings: OrbitPriorSettings, ephemeris: Ephemeris) -> OrbitPrior:

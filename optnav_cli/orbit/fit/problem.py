@@ -73,13 +73,13 @@ class FitParameter:
     """A number, or three, common to fixes or to the arc.
 
     name        of the settings; of an arc of thrust thrust_1 and so on
-    place       of its first number among those estimated, or among those considered
+    first       place of its first number among those estimated, or among those considered
     covariance  (size, size) before the fixes are looked at
     """
 
     name: str
     settings: ParameterSettings
-    place: int
+    first: int
     covariance: FloatArray
 
     @property
@@ -88,7 +88,7 @@ class FitParameter:
 
     @property
     def span(self) -> slice:
-        return slice(self.place, self.place + self.size)
+        return slice(self.first, self.first + self.size)
 
     def applies(self, fix: OrbitFix) -> bool:
         """Whether a fix depends on it directly."""
@@ -107,18 +107,19 @@ def parameters_of(
     thrusts  covariances (3, 3) of the arcs of thrust, which are estimated too
     sizes    how many numbers a parameter has; 1 where not named
     """
-    found: dict[str, list[FitParameter]] = {"estimate": [], "consider": []}
-    ends = dict.fromkeys(found, 0)
+    by_mode: dict[str, list[FitParameter]] = {"estimate": [], "consider": []}
+    ends = dict.fromkeys(by_mode, 0)
     every: list[tuple[str, ParameterSettings, FloatArray]] = [
-        (one.name, one, np.eye(sizes.get(one.name, 1)) * one.sigma**2) for one in settings
+        (setting.name, setting, np.eye(sizes.get(setting.name, 1)) * setting.sigma**2)
+        for setting in settings
     ]
     for number, covariance in enumerate(thrusts, start=1):
         every.append((f"{THRUST}{number}", ParameterSettings("acceleration"), covariance))
-    for name, one, covariance in every:
-        parameter = FitParameter(name, one, ends[one.mode], covariance)
-        ends[one.mode] += parameter.size
-        found[one.mode].append(parameter)
-    return found["estimate"], found["consider"]
+    for name, setting, covariance in every:
+        parameter = FitParameter(name, setting, ends[setting.mode], covariance)
+        ends[setting.mode] += parameter.size
+        by_mode[setting.mode].append(parameter)
+    return by_mode["estimate"], by_mode["consider"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,8 +206,8 @@ class OrbitProblem:
 
     def inertial(self, number: int) -> FloatArray:
         """A fix's place (3,), inertial."""
-        place: FloatArray = self.turn(number).T @ self.fixes[number].position_m
-        return place
+        position: FloatArray = self.turn(number).T @ self.fixes[number].position_m
+        return position
 
     def turn(self, number: int, offset_s: float = 0.0) -> FloatArray:
         """Rotation (3, 3), stated body frame from inertial, so long after a fix."""
@@ -238,31 +239,31 @@ class OrbitProblem:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Residual (3,) of a fix, its derivatives (3, 6 + p), and (3, q) by what is considered."""
         fix, node = self.fixes[number], self.node_of[number]
-        own = [p for p in (*self.estimated, *self.considered) if p.applies(fix)]
+        applying = [p for p in (*self.estimated, *self.considered) if p.applies(fix)]
         offset = self.clock(number, trajectory)
         state, bring = trajectory.states[node], np.eye(6)
         after = fix.tdb_s + offset - float(self.times[node])
         if after:
             state, bring = self.motion_at(trajectory).carry(state, float(self.times[node]), after)
         turn = self.turn(number, offset)
-        place = turn @ state[:3]
+        computed = turn @ state[:3]
         design = np.zeros((3, self.width))
         design[:, :6] = turn @ bring[:3]
         of_considered = np.zeros((3, sum(p.size for p in self.considered)))
-        for p in own:
+        for p in applying:
             derivative = self._derivative(p, number, turn, state, offset)
-            place = place + self._moved(p, derivative, trajectory)
+            computed = computed + self._moved(p, derivative, trajectory)
             if p.settings.mode == "estimate":
-                design[:, 6 + p.place : 6 + p.place + p.size] = derivative
+                design[:, 6 + p.first : 6 + p.first + p.size] = derivative
             else:
                 of_considered[:, p.span] = derivative
-        return fix.position_m - place, design, of_considered
+        return fix.position_m - computed, design, of_considered
 
     def split(self, number: int) -> tuple[FloatArray, FloatArray]:
         """(3, q) by which a fix moves with what near ones have in common, and (3, 3) its own."""
         fix = self.fixes[number]
-        moved, own = self.shared.split(number, fix.sighted_m2)
-        return moved, own if fix.timing_m2 is None else own + fix.timing_m2
+        moved, unshared = self.shared.split(number, fix.sighted_m2)
+        return moved, unshared if fix.timing_m2 is None else unshared + fix.timing_m2
 
     def left_over(self, at: Trajectory, weights: FloatArray) -> float:
         """Of chi-square: what the measurements of a linear arc say no more about."""
@@ -278,10 +279,10 @@ class OrbitProblem:
         rows, numbers = [], np.flatnonzero(used)
         for number in numbers:
             node, residual = self.node_of[number], self.measure(int(number), at)[0]
-            moved, own = self.split(int(number))
+            moved, unshared = self.split(int(number))
             residual = residual - moved @ found.deviations[node, self.width :, 0]
             axes = rnb_of(at.states[node]) @ self.turn(int(number)).T
-            root = np.linalg.cholesky(axes @ own @ axes.T)
+            root = np.linalg.cholesky(axes @ unshared @ axes.T)
             rows.append(solve_triangular(root, axes @ residual, lower=True))
         times = np.repeat([self.fixes[number].tdb_s for number in numbers], 3)
         return np.array(rows).ravel(), np.tile(np.arange(3), len(rows)), times
@@ -362,7 +363,7 @@ class OrbitProblem:
                 gamma = step.by_parameters[:, column : column + p.size]
                 column += p.size
                 if p.settings.mode == "estimate":
-                    transitions[i, :6, 6 + p.place : 6 + p.place + p.size] = gamma
+                    transitions[i, :6, 6 + p.first : 6 + p.first + p.size] = gamma
                 else:
                     pushed[:, p.span] = gamma
             paths[i + 1, :6] = step.transition @ paths[i, :6] + pushed
@@ -388,21 +389,21 @@ class OrbitProblem:
     ) -> NodeMeasurement:
         residual, design, of_considered = self.measure(number, at)
         node = self.node_of[number]
-        moved, own = self.split(number)
+        moved, unshared = self.split(number)
         design = np.concatenate([design, moved], axis=1)
         more = design @ paths[node] + of_considered
         columns = np.concatenate([residual[:, None], more], axis=1)
-        return NodeMeasurement(node, columns, design, own / weight)
+        return NodeMeasurement(node, columns, design, unshared / weight)
 
     def _open_prior(self, at: Trajectory, known: FloatArray | None) -> FloatArray:
         """Covariance of the first node: the state open, the parameters as stated before."""
-        place = at.states[0, :3]
+        position = at.states[0, :3]
         spreads = [np.trace(fix.covariance_m2) / 3.0 for fix in self.fixes]
-        open_m = OPEN_SHARE * float(np.linalg.norm(place))
+        open_m = OPEN_SHARE * float(np.linalg.norm(position))
         if spreads:
             open_m = min(open_m, OPEN_SIGMAS * float(np.sqrt(np.median(spreads))))
         sigmas = np.full(6, open_m)
-        sigmas[3:] /= self.motion.radian_s(place)
+        sigmas[3:] /= self.motion.radian_s(position)
         if known is not None:
             sigmas = np.clip(OPEN_AGAIN * known, sigmas / OPEN_SIGMAS, sigmas)
         known_before = self.prior_covariance(self.estimated)

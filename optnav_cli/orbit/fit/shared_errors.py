@@ -67,8 +67,8 @@ class SharedErrors:
         """(N-1,) what stays of the errors between neighbouring times (N,)."""
         if not self.width:
             return np.ones(max(len(times) - 1, 0))
-        found: FloatArray = np.exp(-np.diff(np.interp(times, self.times, self.way)))
-        return found
+        kept: FloatArray = np.exp(-np.diff(np.interp(times, self.times, self.way)))
+        return kept
 
     def split(self, number: int, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(3, width) by which a fix moves with the numbers, and what it has of its own (3, 3)."""
@@ -105,15 +105,15 @@ def shared_errors(
     way, size = way[: len(places)], np.array(covariances)
     group = np.full(len(places), -1)
     for method in dict.fromkeys(methods):
-        own = np.flatnonzero([one == method for one in methods])
-        near = len(own) > 1 and float(np.diff(way[own]).min()) < -np.log(LEAST)
+        members = np.flatnonzero([name == method for name in methods])
+        near = len(members) > 1 and float(np.diff(way[members]).min()) < -np.log(LEAST)
         if not (near and method and sizes.share > 0.0):
             continue
-        group[own] = group.max() + 1
-        ends = np.searchsorted(way[own], [way[own] - TOGETHER, way[own] + TOGETHER])
-        for number, (k, first, last) in enumerate(zip(own, *ends, strict=True)):
+        group[members] = group.max() + 1
+        ends = np.searchsorted(way[members], [way[members] - TOGETHER, way[members] + TOGETHER])
+        for number, (k, first, last) in enumerate(zip(members, *ends, strict=True)):
             first, last = max(first, number - MAX_TOGETHER), min(last, number + MAX_TOGETHER + 1)
-            for other in own[first:last]:
+            for other in members[first:last]:
                 if other != k:
                     size[k] = _within_both(size[k], covariances[other])
     return SharedErrors(group.tolist(), size, sizes.share, way, times)

@@ -30,8 +30,8 @@ def with_time_errors(
         return problem
     wide = []
     for number, fix in enumerate(problem.fixes):
-        place = problem.inertial(number)
-        speed = float(np.linalg.norm(place)) / problem.motion.radian_s(place)
+        position = problem.inertial(number)
+        speed = float(np.linalg.norm(position)) / problem.motion.radian_s(position)
         wide.append(_moved(fix, np.eye(3) * speed))
     rough = replace(problem, fixes=wide)
     speeds = body_fixed_speeds(rough, start(rough))
@@ -46,12 +46,12 @@ def _moved(fix: OrbitFix, by_second: FloatArray) -> OrbitFix:
 
 def body_fixed_speeds(problem: OrbitProblem, at: Trajectory) -> FloatArray:
     """Velocities (n, 3) of the fixes along a trajectory, as the body frame sees them, m/s."""
-    found = np.empty((len(problem.fixes), 3))
+    speeds = np.empty((len(problem.fixes), 3))
     for number, node in enumerate(problem.node_of):
         state = at.states[node]
         turned = problem.turn(number, 0.5) - problem.turn(number, -0.5)
-        found[number] = problem.turn(number) @ state[3:] + turned @ state[:3]
-    return found
+        speeds[number] = problem.turn(number) @ state[3:] + turned @ state[:3]
+    return speeds
 
 
 def are_whole_seconds(fixes: Sequence[OrbitFix]) -> bool:
@@ -76,10 +76,7 @@ def lie_within_half_a_second(
     size = np.linalg.norm(speeds, axis=1)
     along = (residuals_m * speeds).sum(axis=1) / size
     across = np.linalg.norm(residuals_m - along[:, None] * speeds / size[:, None], axis=1)
-    own = [
-        fix.covariance_m2 - (0.0 if fix.timing_m2 is None else fix.timing_m2)
-        for fix in problem.fixes
-    ]
-    sigmas = np.sqrt(np.trace(np.array(own), axis1=1, axis2=2))
+    covariances = np.array([fix.sighted_m2 for fix in problem.fixes])
+    sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     inside = np.abs(along - np.median(along)) < HALF_S * size + 3.0 * sigmas
     return bool(inside.all() and np.median(np.abs(along)) > np.median(across))

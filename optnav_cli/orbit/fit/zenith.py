@@ -160,7 +160,7 @@ def _numbers(row: CsvRow) -> tuple[float, FloatArray, float, float]:
     """Time, direction, value and sigma of a row."""
     if row["type"] != STAR_ZENITH:
         raise DataError(f"type is '{row['type']}'; wanted {STAR_ZENITH}")
-    found = []
+    values = []
     for name, least, most in (
         ("ra_deg", -360.0, 360.0),
         ("dec_deg", -90.0, 90.0),
@@ -170,14 +170,14 @@ def _numbers(row: CsvRow) -> tuple[float, FloatArray, float, float]:
         value = row.number(name)
         if value is None or not least <= value <= most:
             raise DataError(f"{name} is '{row[name]}'; wanted {least:g} to {most:g}")
-        found.append(value)
-    if found[3] == 0.0:
+        values.append(value)
+    if values[3] == 0.0:
         raise DataError("sigma_arcsec is 0; wanted the 1 sigma of the zenith distance, above 0")
-    ra, dec, value = np.radians(found[:3])
+    ra, dec, value = np.radians(values[:3])
     if not NEAREST_RAD < value < np.pi - NEAREST_RAD:
         raise DataError(
             f"value_deg is {row['value_deg']}: so near to the vertical a zenith distance says "
             "little; wanted 0.1 to 179.9"
         )
     direction = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-    return utc_to_tdb_s(row["utc"], "utc"), direction, float(value), found[3] * ARCSEC
+    return utc_to_tdb_s(row["utc"], "utc"), direction, float(value), values[3] * ARCSEC

@@ -122,13 +122,13 @@ def best_fit(
         starts = [(priors[0].tdb_s, priors[0].state)]
     else:
         body = motion.ephemeris.body
-        found = first_orbits(sights, motion.forces.gm, body.radius_m)
-        starts = [(orbit.tdb_s, orbit.state) for orbit in found]
+        candidates = first_orbits(sights, motion.forces.gm, body.radius_m)
+        starts = [(orbit.tdb_s, orbit.state) for orbit in candidates]
     begun: list[tuple[float, ZenithProblem, Trajectory]] = []
     said: NoSolutionError | None = None
     for first in starts:
         problem = zenith_problem(motion, sights, priors, parameters, first[1])
-        least = min((one[0] for one in begun), default=math.inf)
+        least = min((ratio for ratio, *_ in begun), default=math.inf)
         try:
             at = _start(problem, first, DROPPED * max(least, 1.0))
         except NoSolutionError as error:
@@ -141,7 +141,7 @@ def best_fit(
         if len(sights.stars_used) > 2 and begun[-1][0] < MAX_SCATTER**2:
             break
     fits: list[ZenithFit] = []
-    for usual, problem, at in sorted(begun, key=lambda one: one[0]):
+    for usual, problem, at in sorted(begun, key=lambda start: start[0]):
         if fits and usual > DROPPED * max(_usual(fits[0].problem, fits[0].trajectory), 1.0):
             break
         try:
@@ -175,22 +175,22 @@ def settled(problem: ZenithProblem, at: Trajectory, gate_probability: float) -> 
     used = weights > DOUBTED
     seen: set[bytes] = set()
     for _ in range(MAX_ROUNDS):
-        at, found = solver.settle(at, used.astype(np.float64))
-        looks = _looks(problem, at, found, used)
+        at, smoothed = solver.settle(at, used.astype(np.float64))
+        looks = _looks(problem, at, smoothed, used)
         judged = _judged(looks, gate)
         if (judged == used).all() or judged.tobytes() in seen:
             break
         seen.add(used.tobytes())
         used = judged
-    looks = _looks(problem, at, found, used)
-    chi_square = found.chi_square + problem.remainder(problem.rows(at), used.astype(np.float64))
-    covariances = with_considered(problem, at, found, used, solver)
+    looks = _looks(problem, at, smoothed, used)
+    chi_square = smoothed.chi_square + problem.remainder(problem.rows(at), used.astype(np.float64))
+    covariances = with_considered(problem, at, smoothed, used, solver)
     return ZenithFit(
         problem,
         at,
         covariances[:, :6, :6] + problem.motion.local(at.states),
         covariances[-1],
-        found.disturbances[:, :6, 0],
+        smoothed.disturbances[:, :6, 0],
         [],
         chi_square,
         int(used.sum()) + 6 * len(problem.priors) - 6,
@@ -222,8 +222,8 @@ def denser(fit: ZenithFit, step_s: float) -> ZenithFit:
         start = float(before.times[node])
         states[here] = motion.path(at.states[node], start, problem.times[here])
     used, solver = fit.looks.used, OrbitSolver(problem, "white")
-    dense, found = solver.settle(Trajectory(states, at.parameters), used.astype(np.float64))
-    covariances = with_considered(problem, dense, found, used, solver)
+    dense, smoothed = solver.settle(Trajectory(states, at.parameters), used.astype(np.float64))
+    covariances = with_considered(problem, dense, smoothed, used, solver)
     return replace(
         fit,
         problem=problem,
@@ -316,11 +316,11 @@ def _usual(problem: ZenithProblem, at: Trajectory) -> float:
 def _looks(
     problem: ZenithProblem, at: Trajectory, found: SmoothedArc, used: BoolArray
 ) -> SightResidual:
-    rows, own = problem.rows(at), problem.sights.sigmas_rad**2
+    rows, variances = problem.rows(at), problem.sights.sigmas_rad**2
     spread = found.covariances[problem.node_of_sight]
     orbit = (rows.design[:, None] @ spread @ rows.design[:, :, None])[:, 0, 0]
     # of a sight that alone holds the orbit nothing is left to judge it by
-    left = np.maximum(np.where(used, own - orbit, own + orbit), 1e-6 * own)
+    left = np.maximum(np.where(used, variances - orbit, variances + orbit), 1e-6 * variances)
     return SightResidual(rows.residuals, rows.residuals**2 / left, used)
 
 

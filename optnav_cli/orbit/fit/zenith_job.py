@@ -75,14 +75,14 @@ def read_zenith_inputs(inputs: Sequence[Path]) -> ZenithInputs:
     if len({path.resolve() for path in paths}) < len(paths):
         raise UsageError("a file of zenith distances is named twice; name each once")
     parts = [read_zenith(path) for path in paths]
-    found = [_settings(path) for path in paths]
-    for path, (_, body) in zip(paths, found, strict=True):
-        if body != found[0][1]:
+    sources = [_settings(path) for path in paths]
+    for path, (_, body) in zip(paths, sources, strict=True):
+        if body != sources[0][1]:
             raise DataError(
-                f"{path}: is about {body.name}, {paths[0]} about {found[0][1].name}; fit each body "
-                "by itself"
+                f"{path}: is about {body.name}, {paths[0]} about {sources[0][1].name}; fit each "
+                "body by itself"
             )
-    return ZenithInputs(paths, _joined(parts), found[0][1], found[0][0])
+    return ZenithInputs(paths, _joined(parts), sources[0][1], sources[0][0])
 
 
 def fit_zenith_files(
@@ -98,27 +98,27 @@ def fit_zenith_files(
     Raises DataError, UsageError or ConfigError for what cannot be used, NoSolutionError where the
     sights leave the orbit open or fit none.
     """
-    found = read_zenith_inputs(inputs)
+    source = read_zenith_inputs(inputs)
     kernels = [str(resolve_path(name, beside).resolve()) for name in settings.spice.kernels]
-    ephemeris = load_ephemeris(found.body, [Path(name) for name in kernels])
-    warn_of_unknown_gravity(found.body, settings.forces)
+    ephemeris = load_ephemeris(source.body, [Path(name) for name in kernels])
+    warn_of_unknown_gravity(source.body, settings.forces)
     settings = _with_solved(settings, solve)
-    ends = float(found.sights.tdb_s[0]), float(found.sights.tdb_s[-1])
+    ends = float(source.sights.tdb_s[0]), float(source.sights.tdb_s[-1])
     priors = orbit_priors(settings.prior, ephemeris, beside, ends)
     motion = ArcMotion(Forces(ephemeris, settings.forces, beside), settings.noise)
-    with replace_folder(output, KIND) as place:
+    with replace_folder(output, KIND) as staging:
         fit = fit_zenith(
-            motion, found.sights, priors, settings.parameter, settings.gate_probability
+            motion, source.sights, priors, settings.parameter, settings.gate_probability
         )
-        write_zenith_folder(place, fit, denser(fit, settings.step_s), settings, kernels)
-        write_run_settings(found.settings, place)
+        write_zenith_folder(staging, fit, denser(fit, settings.step_s), settings, kernels)
+        write_run_settings(source.settings, staging)
         write_manifest(
-            place,
+            staging,
             KIND,
             command="orbit fit",
             options={"config": msgspec.to_builtins(settings), "solve": list(solve)},
             inputs={
-                "zenith": [{"path": str(p), "sha256": hash_file(p)} for p in found.paths],
+                "zenith": [{"path": str(p), "sha256": hash_file(p)} for p in source.paths],
                 "motion": ephemeris.name,
             },
             results={"zenith_distances": fit.count, "used": fit.used},

@@ -76,8 +76,8 @@ class ZenithProblem(OrbitProblem):
         for node in np.unique(self.node_of_sight):
             here = slice(int(ends[node]), int(ends[node + 1]))
             start = float(self.times[node])
-            found = motion.partials(at.states[node], start, sights.tdb_s[here], names)
-            states[here], maps[here], pushed[here] = found
+            carried = motion.partials(at.states[node], start, sights.tdb_s[here], names)
+            states[here], maps[here], pushed[here] = carried
         angles, by_place, by_star = zenith_distances(states[:, :3], sights.directions)
         width, q = self.width, sum(p.size for p in self.considered)
         design, considered = np.zeros((count, width)), np.zeros((count, q))
@@ -106,9 +106,9 @@ class ZenithProblem(OrbitProblem):
     def _by_stars(self, by_star: FloatArray) -> FloatArray:
         """(n, 2 stars) by where each star is wrongly taken to stand, rad per arc second."""
         along = (self.sights.star_axes @ by_star[:, :, None])[:, :, 0] * ARCSEC
-        found = np.zeros((len(along), len(self.sights.names), 2))
-        found[np.arange(len(along)), self.sights.star_of] = along
-        return found.reshape(len(along), -1)
+        derivative = np.zeros((len(along), len(self.sights.names), 2))
+        derivative[np.arange(len(along)), self.sights.star_of] = along
+        return derivative.reshape(len(along), -1)
 
     def linearise(
         self, at: Trajectory, weights: FloatArray, sigmas: FloatArray | None = None
@@ -120,7 +120,8 @@ class ZenithProblem(OrbitProblem):
             for node, design, right in self._whitened(self.rows(at), weights, paths)
         ]
         compressed = [
-            _compressed(one)[0] if len(one.residual) > self.width else one for one in measured
+            _compressed(measurement)[0] if len(measurement.residual) > self.width else measurement
+            for measurement in measured
         ]
         return replace(arc, measurements=[*arc.measurements, *compressed]), paths
 
@@ -139,19 +140,19 @@ class ZenithProblem(OrbitProblem):
     def remainder(self, rows: SightRows, weights: FloatArray) -> float:
         """Of chi-square: what no change of the nodes' states takes away."""
         paths = np.zeros((len(self.times), self.width, rows.considered.shape[1]))
-        rest = 0.0
+        total = 0.0
         for node, design, right in self._whitened(rows, weights, paths):
             if len(right) > self.width:
-                whole = NodeMeasurement(node, right, design, np.eye(len(right)))
-                rest += _compressed(whole)[1]
-        return rest
+                interval = NodeMeasurement(node, right, design, np.eye(len(right)))
+                total += _compressed(interval)[1]
+        return total
 
     def _whitened(
         self, rows: SightRows, weights: FloatArray, paths: FloatArray
     ) -> list[tuple[int, FloatArray, FloatArray]]:
         """Each interval's node, design (m, n) and right sides (m, 1 + q), over their sigmas."""
         scale = np.sqrt(weights) / self.sights.sigmas_rad
-        found = []
+        whitened = []
         for node in np.unique(self.node_of_sight):
             here = np.flatnonzero((self.node_of_sight == node) & (weights > 0.0))
             if not len(here):
@@ -159,13 +160,13 @@ class ZenithProblem(OrbitProblem):
             design = rows.design[here]
             more = design @ paths[node] + rows.considered[here]
             right = np.concatenate([rows.residuals[here, None], more], axis=1)
-            found.append((int(node), design * scale[here, None], right * scale[here, None]))
-        return found
+            whitened.append((int(node), design * scale[here, None], right * scale[here, None]))
+        return whitened
 
 
 def _put(p: FitParameter, columns: FloatArray, design: FloatArray, considered: FloatArray) -> None:
     if p.settings.mode == "estimate":
-        design[:, 6 + p.place : 6 + p.place + p.size] = columns
+        design[:, 6 + p.first : 6 + p.first + p.size] = columns
     else:
         considered[:, p.span] = columns
 
@@ -174,5 +175,5 @@ def _compressed(one: NodeMeasurement) -> tuple[NodeMeasurement, float]:
     """The same in as many rows as unknowns, and the squares of the residual that are left."""
     q, r = np.linalg.qr(one.design)
     right = q.T @ one.residual
-    rest = float((one.residual[:, 0] ** 2).sum() - (right[:, 0] ** 2).sum())
-    return NodeMeasurement(one.node, right, r, np.eye(len(r))), rest
+    remainder = float((one.residual[:, 0] ** 2).sum() - (right[:, 0] ** 2).sum())
+    return NodeMeasurement(one.node, right, r, np.eye(len(r))), remainder

@@ -50,17 +50,21 @@ def first_orbits(sights: ZenithSights, gm: float, radius_m: float) -> list[First
     vectors, costs = _fitted(rates, since, stars, cosines)
     moments, axes = np.linalg.eigh(stars.T @ stars / len(stars))
     across = axes[:, 0] if moments[0] < FLAT else None
-    found = []
+    candidates = []
     for k, rate in enumerate(rates):
-        for one, other in _pairs(vectors[k, 1], vectors[k, 2], across):
-            off = [float(one @ one) - 1.0, float(other @ other) - 1.0, 2.0 * float(one @ other)]
+        for cosine_axis, sine_axis in _pairs(vectors[k, 1], vectors[k, 2], across):
+            off = [
+                float(cosine_axis @ cosine_axis) - 1.0,
+                float(sine_axis @ sine_axis) - 1.0,
+                2.0 * float(cosine_axis @ sine_axis),
+            ]
             cost = float(costs[k]) + float(np.square(off).sum()) / SHAPE_ERROR**2
-            left, _, right = np.linalg.svd(np.array([one, other]), full_matrices=False)
+            left, _, right = np.linalg.svd(np.array([cosine_axis, sine_axis]), full_matrices=False)
             first, second = left @ right
             size = float(gm / rate**2) ** (1.0 / 3.0)
             state = np.concatenate([size * first, size * rate * second])
-            found.append(FirstOrbit(float(sights.tdb_s[0]) + middle, state, cost))
-    return sorted(found, key=lambda orbit: orbit.cost)[:MAX_FOUND]
+            candidates.append(FirstOrbit(float(sights.tdb_s[0]) + middle, state, cost))
+    return sorted(candidates, key=lambda orbit: orbit.cost)[:MAX_FOUND]
 
 
 def _fitted(
@@ -75,19 +79,19 @@ def _fitted(
     ridge = np.repeat([ECCENTRIC, 1.0, 1.0, ECCENTRIC, ECCENTRIC], 3) ** -2.0
     normal = rows.transpose(0, 2, 1) @ rows / MODEL_ERROR**2 + np.diag(ridge)
     right = rows.transpose(0, 2, 1) @ cosines / MODEL_ERROR**2
-    found = np.linalg.solve(normal, right[..., None])[..., 0]
-    rest = (rows @ found[..., None])[..., 0] - cosines
-    costs = (rest**2).sum(axis=1) / MODEL_ERROR**2 + (found**2 * ridge).sum(axis=1)
-    return np.asarray(found.reshape(-1, 5, 3), np.float64), np.asarray(costs, np.float64)
+    solution = np.linalg.solve(normal, right[..., None])[..., 0]
+    residuals = (rows @ solution[..., None])[..., 0] - cosines
+    costs = (residuals**2).sum(axis=1) / MODEL_ERROR**2 + (solution**2 * ridge).sum(axis=1)
+    return np.asarray(solution.reshape(-1, 5, 3), np.float64), np.asarray(costs, np.float64)
 
 
 def _pairs(
-    one: FloatArray, other: FloatArray, across: FloatArray | None
+    first: FloatArray, second: FloatArray, across: FloatArray | None
 ) -> list[tuple[FloatArray, FloatArray]]:
     """The two axes; where the stars lie in a plane, with what lies across it, either way."""
     if across is None:
-        return [(one, other)]
-    one, other = one - (one @ across) * across, other - (other @ across) * across
-    a, b = (float(np.sqrt(max(1.0 - float(v @ v), 0.0))) for v in (one, other))
-    sign = -1.0 if float(one @ other) > 0.0 else 1.0
-    return [(one + side * a * across, other + side * sign * b * across) for side in (1.0, -1.0)]
+        return [(first, second)]
+    first, second = first - (first @ across) * across, second - (second @ across) * across
+    a, b = (float(np.sqrt(max(1.0 - float(v @ v), 0.0))) for v in (first, second))
+    sign = -1.0 if float(first @ second) > 0.0 else 1.0
+    return [(first + side * a * across, second + side * sign * b * across) for side in (1.0, -1.0)]

@@ -46,8 +46,8 @@ class Site:
 
     def above(self, height_m: float) -> FloatArray:
         """The place (3,) so high over the site, body frame."""
-        found: FloatArray = self.point + height_m * self.up
-        return found
+        point: FloatArray = self.point + height_m * self.up
+        return point
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +65,14 @@ class Departure:
 
     @property
     def impulse(self) -> FloatArray:
-        found: FloatArray = self.changes.sum(axis=0)
-        return found
+        total: FloatArray = self.changes.sum(axis=0)
+        return total
 
     def errors_m_s(self) -> FloatArray:
         """(k,) what is left of the impulse to find after each step."""
         left = self.changes[::-1].cumsum(axis=0)[::-1]
-        found: FloatArray = np.linalg.norm(np.vstack([left[1:], np.zeros(3)]), axis=1)
-        return found
+        sizes: FloatArray = np.linalg.norm(np.vstack([left[1:], np.zeros(3)]), axis=1)
+        return sizes
 
 
 def depart(
@@ -116,7 +116,8 @@ def check_clear(motion: MoonMotion, departure: Departure, ground: DigitalSurface
     count = int(np.ceil((departure.arrival_s - departure.tdb_s) / PATH_STEP_S)) + 1
     times = np.linspace(departure.tdb_s, departure.arrival_s, count)
     states = motion.propagate(departure.state, times, STEP_S)
-    places = np.einsum("nij,nj->ni", body_from_inertial(motion.moon, times), states[:, :3])
+    turns = body_from_inertial(motion.moon, times)
+    places: FloatArray = np.einsum("nij,nj->ni", turns, states[:, :3])
     over = np.full(count, np.nan)
     far = np.linalg.norm(places, axis=1) > 1.02 * ground.mesh.reach_m
     over[far] = 1.0
@@ -130,5 +131,4 @@ def check_clear(motion: MoonMotion, departure: Departure, ground: DigitalSurface
             "the far side; choose another target, departure or transfer time",
             ReasonCode.NO_SOLUTION,
         )
-    found: FloatArray = places
-    return found
+    return places

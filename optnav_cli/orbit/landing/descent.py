@@ -143,8 +143,8 @@ class VerticalDescent:
         )  # fmt: skip
 
     def _body(self, places: FloatArray) -> FloatArray:
-        found: FloatArray = self._site.point + places @ self._site.axes
-        return found
+        positions: FloatArray = self._site.point + places @ self._site.axes
+        return positions
 
     def _errors(self) -> DescentErrors:
         off = self._xhat[:, :6] - self._x
@@ -228,8 +228,8 @@ class VerticalDescent:
     def _pull(self, places: FloatArray) -> FloatArray:
         body = self._body(places)
         pull = -self._gm * body / np.linalg.norm(body, axis=1)[:, None] ** 3
-        found: FloatArray = pull @ self._site.axes.T
-        return found
+        local: FloatArray = pull @ self._site.axes.T
+        return local
 
     def _measure(self, step: int, flying: BoolArray) -> None:
         beams = self._settings.beams

@@ -64,8 +64,8 @@ class LandingResult:
             for trial in self.trials
         }
         for trials, down in self.groups:
-            for place, trial in enumerate(trials):
-                rows[trial.number] |= _trial_cells(trial, down, place)
+            for index, trial in enumerate(trials):
+                rows[trial.number] |= _trial_cells(trial, down, index)
         return [rows[trial.number] for trial in self.trials]
 
 
@@ -88,13 +88,13 @@ def landing_folder(settings_path: Path, output: Path, progress: Progress) -> Lan
         result = fly_trials(task, progress)
         cells = result.cells()
         landed = [row for row in cells if row["status"] == "solved"]
-        with replace_folder(output, LANDING_KIND) as place:
-            LANDING.write(place / LANDING_CSV, cells)
-            LANDING_IMPULSE.write(place / IMPULSE_CSV, _impulse_cells(task))
-            LANDING_PATH.write(place / PATH_CSV, _path_cells(result))
-            write_oem(place / "transfer.oem", _oem(task), "TRANSFER")
+        with replace_folder(output, LANDING_KIND) as staging:
+            LANDING.write(staging / LANDING_CSV, cells)
+            LANDING_IMPULSE.write(staging / IMPULSE_CSV, _impulse_cells(task))
+            LANDING_PATH.write(staging / PATH_CSV, _path_cells(result))
+            write_oem(staging / "transfer.oem", _oem(task), "TRANSFER")
             write_manifest(
-                place,
+                staging,
                 LANDING_KIND,
                 command="orbit landing",
                 options=msgspec.to_builtins(settings),
@@ -115,12 +115,12 @@ def fly_trials(task: LandingTask, progress: Progress, grounds: int = GROUNDS) ->
     with progress.stage(STAGE, section.trials, "trial") as bar:
         for ground in range(min(grounds, section.trials)):
             truth = wrong_ground(task, section.seed * grounds + ground)
-            own = []
+            flown = []
             for number in range(ground + 1, section.trials + 1, grounds):
-                own.append(fly_transfer(task, truth, number))
+                flown.append(fly_transfer(task, truth, number))
                 bar.advance()
-            trials += own
-            arrived = [trial for trial in own if not trial.reason]
+            trials += flown
+            arrived = [trial for trial in flown if not trial.reason]
             if arrived:
                 groups.append((arrived, fly_descents(task, truth, arrived)))
     return LandingResult(task, sorted(trials, key=lambda trial: trial.number), groups)
@@ -190,8 +190,8 @@ def _path_cells(result: LandingResult) -> Iterator[dict[str, object]]:
         rays = beams_about(
             -place / np.linalg.norm(place), float(np.radians(settings.beams.off_deg))
         )
-        found = task.model.cast(np.tile(place, (len(rays), 1)), rays)
-        for point, distance in zip(found.points, found.range_m, strict=True):
+        beam_hits = task.model.cast(np.tile(place, (len(rays), 1)), rays)
+        for point, distance in zip(beam_hits.points, beam_hits.range_m, strict=True):
             if np.isfinite(distance):
                 yield row("beam", None, place)
                 yield row("beam", None, point)

@@ -100,25 +100,25 @@ class OnboardMotion:
         v = self.anomaly(tdb_s)
         scales = np.stack([self._scale(anomaly) for anomaly in v])  # (n, 6, 6): state of (x, x')
         start = np.concatenate([np.linalg.solve(scales[0], state), np.eye(6).ravel()])
-        found = _fly(start, v, MAX_STEP, self.e, self.mu)
-        states = np.einsum("nij,nj->ni", scales, found[:, :6])
-        turned = scales @ found[:, 6:].reshape(-1, 6, 6) @ np.linalg.inv(scales[0])
+        flown = _fly(start, v, MAX_STEP, self.e, self.mu)
+        states = np.einsum("nij,nj->ni", scales, flown[:, :6])
+        turned = scales @ flown[:, 6:].reshape(-1, 6, 6) @ np.linalg.inv(scales[0])
         return states, turned
 
     def _scale(self, v: float) -> FloatArray:
         """(6, 6): place and velocity of x and x', (6)."""
         rho = 1.0 / (1.0 + self.e * np.cos(v))
-        found = np.zeros((6, 6))
-        found[:3, :3] = self.p * rho * np.eye(3)
-        found[3:, 3:] = self.c / self.p / rho * np.eye(3)
-        found[3:, :3] = self.c / self.p * self.e * np.sin(v) * np.eye(3)
-        return found
+        scale = np.zeros((6, 6))
+        scale[:3, :3] = self.p * rho * np.eye(3)
+        scale[3:, 3:] = self.c / self.p / rho * np.eye(3)
+        scale[3:, :3] = self.c / self.p * self.e * np.sin(v) * np.eye(3)
+        return scale
 
 
 def turning_state(motion: MoonMotion, tdb_s: float, state: FloatArray) -> FloatArray:
     """An inertial state (6,) in the turning frame, the velocity against the frame."""
     turning = motion.turning_from_inertial(np.array([tdb_s]))[0]
     rate, _ = motion.turning_rates(tdb_s)
-    place = turning @ state[:3]
-    speed = turning @ state[3:] - np.cross([0.0, 0.0, rate], place)
-    return np.concatenate([place, speed])
+    position = turning @ state[:3]
+    speed = turning @ state[3:] - np.cross([0.0, 0.0, rate], position)
+    return np.concatenate([position, speed])

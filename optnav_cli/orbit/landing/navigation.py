@@ -57,18 +57,18 @@ class SurfaceError:
         """(n,) 1 sigma at points (n, 3)."""
         if self.site is None or self.near_m >= self.sigma_m:
             return np.full(len(points), self.sigma_m)
-        away = np.linalg.norm(points - np.array(self.site), axis=1) / NEAR_M
-        share = np.clip(away - 1.0, 0.0, 1.0)
-        found: FloatArray = self.near_m + (self.sigma_m - self.near_m) * share
-        return found
+        distance = np.linalg.norm(points - np.array(self.site), axis=1) / NEAR_M
+        share = np.clip(distance - 1.0, 0.0, 1.0)
+        sigmas: FloatArray = self.near_m + (self.sigma_m - self.near_m) * share
+        return sigmas
 
     def covariance(self, points: FloatArray, others: FloatArray) -> FloatArray:
         """(n, m) of the heights' errors at points (n, 3) and (m, 3)."""
         squares = np.einsum("ij,ij->i", points, points)[:, None]
         apart = squares + np.einsum("ij,ij->i", others, others) - 2.0 * points @ others.T
         sizes = np.outer(self.sigma(points), self.sigma(others))
-        found: FloatArray = sizes * np.exp(-np.sqrt(np.maximum(apart, 0.0)) / self.length_m)
-        return found
+        covariances: FloatArray = sizes * np.exp(-np.sqrt(np.maximum(apart, 0.0)) / self.length_m)
+        return covariances
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,12 +181,12 @@ class RangeNavigator:
         least = np.inf
         for number, (aside, most) in enumerate(tries, start=1):
             before = (prior, prior_covariance)
-            found = self._from(ranges, prior + aside, before, (number, most))
-            if found is None:
+            fix = self._from(ranges, prior + aside, before, (number, most))
+            if fix is None:
                 continue
-            least = min(least, found.chi)
-            if found.settled and found.fits:
-                return found
+            least = min(least, fix.chi)
+            if fix.settled and fix.fits:
+                return fix
         left = f"{least:.1f} sigmas are left" if np.isfinite(least) else "all lead astray"
         raise NoSolutionError(
             f"no state fits the ranges from {RESTARTS + 1} starts: none settles, {left}",
@@ -210,9 +210,9 @@ class RangeNavigator:
         by_state = -gains @ parts.jacobian
         errors = self._errors(ranges, parts)
         with_state = by_ranges @ (errors @ gains.T - cross.T) + fix.covariance @ by_state.T
-        found = (gains @ errors - 2.0 * cross) @ gains.T + before
-        found += by_state @ (2.0 * with_state - fix.covariance @ by_state.T)
-        covariance = 0.5 * (found + found.T)
+        spread = (gains @ errors - 2.0 * cross) @ gains.T + before
+        spread += by_state @ (2.0 * with_state - fix.covariance @ by_state.T)
+        covariance = 0.5 * (spread + spread.T)
         return GroundEstimate(gains @ parts.residuals, covariance, with_state)
 
     def _from(
@@ -291,10 +291,10 @@ class RangeNavigator:
     def _weighing(self, ranges: BeamRanges, parts: _Linearised) -> FloatArray:
         """(m, m) whose inverse are the weights: noise, and the surface's error along the ranges."""
         points, shorter = parts.points, parts.shorter
-        found = (1.0 - ROUGH) * self._error.covariance(points, points) * np.outer(shorter, shorter)
-        found[np.diag_indices(len(points))] += ROUGH * (self._error.sigma(points) * shorter) ** 2
-        found[np.diag_indices(len(points))] += ranges.noise_m**2
-        return found
+        matrix = (1.0 - ROUGH) * self._error.covariance(points, points) * np.outer(shorter, shorter)
+        matrix[np.diag_indices(len(points))] += ROUGH * (self._error.sigma(points) * shorter) ** 2
+        matrix[np.diag_indices(len(points))] += ranges.noise_m**2
+        return matrix
 
     def _errors(self, ranges: BeamRanges, parts: _Linearised) -> FloatArray:
         """(m, m) covariance of the ranges: noise, and what the model's vertices are wrong by."""
@@ -302,9 +302,9 @@ class RangeNavigator:
         count, flat = len(corners), corners.reshape(-1, 3)
         moved = shares * parts.shorter[:, None]
         every = self._error.covariance(flat, flat).reshape(count, 3, count, 3)
-        found: FloatArray = np.einsum("ai,aibj,bj->ab", moved, every, moved, optimize=True)
-        found[np.diag_indices(count)] += ranges.noise_m**2
-        return found
+        total: FloatArray = np.einsum("ai,aibj,bj->ab", moved, every, moved, optimize=True)
+        total[np.diag_indices(count)] += ranges.noise_m**2
+        return total
 
     def _corners(self, parts: _Linearised) -> tuple[FloatArray, FloatArray]:
         """(m, 3, 3) of the faces that ranges end on, and (m, 3) what each says of the point."""
@@ -328,10 +328,10 @@ def beams_about(
     sides = (
         np.cos(around)[..., None] * u[..., None, :] + np.sin(around)[..., None] * v[..., None, :]
     )
-    found: FloatArray = np.cos(off_rad) * axis[..., None, :] + np.sin(off_rad) * sides
-    return found
+    directions: FloatArray = np.cos(off_rad) * axis[..., None, :] + np.sin(off_rad) * sides
+    return directions
 
 
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    found: FloatArray = np.linalg.solve(matrix, right).astype(np.float64)
-    return found
+    solution: FloatArray = np.linalg.solve(matrix, right).astype(np.float64)
+    return solution

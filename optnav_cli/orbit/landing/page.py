@@ -136,21 +136,23 @@ def _section_figure(folder: Path) -> Markup:
 
 def _parts(folder: Path) -> dict[str, FloatArray]:
     """Points (n, 2), km, along and up, by kind."""
-    found: dict[str, list[tuple[float, float]]] = {}
+    by_kind: dict[str, list[tuple[float, float]]] = {}
     for row in LANDING_PATH.rows(folder / PATH_CSV):
         point = row.number("along_km") or 0.0, row.number("up_km") or 0.0
-        found.setdefault(row["kind"], []).append(point)
-    if len(found.get("beam", ())) % 2 or not found:
+        by_kind.setdefault(row["kind"], []).append(point)
+    if len(by_kind.get("beam", ())) % 2 or not by_kind:
         raise DataError(f"{folder / PATH_CSV}: is damaged; make the folder again")
-    return {kind: np.array(points) for kind, points in found.items()}
+    return {kind: np.array(points) for kind, points in by_kind.items()}
 
 
 def _numbers(rows: Sequence[CsvRow], landed: Sequence[CsvRow]) -> list[tuple[str, str]]:
     numbers = [(f"{len(landed)} of {len(rows)}", "trials land")]
     if landed:
-        away = [np.hypot(r.number("east_m") or 0.0, r.number("north_m") or 0.0) for r in landed]
+        distances = [
+            np.hypot(r.number("east_m") or 0.0, r.number("north_m") or 0.0) for r in landed
+        ]
         side = [row.number("side_m_s") or 0.0 for row in landed]
-        numbers.append((f"{max(away):.0f} m", "from the target at most"))
+        numbers.append((f"{max(distances):.0f} m", "from the target at most"))
         numbers.append((f"{max(side):.2f} m/s", "across the ground at most"))
     return numbers
 

@@ -106,16 +106,16 @@ class DigitalSurface:
 
     def ranges(self, origins: FloatArray, rays: FloatArray) -> GroundHits:
         """By the iteration, and by casting where it does not settle or the ray is flat."""
-        found = self.settle(origins, rays)
+        hits = self.settle(origins, rays)
         # a flat ray may settle behind a ridge that it meets first
-        up = compute_normals(find_foot(found.points, self.radii), self.radii)
+        up = compute_normals(find_foot(hits.points, self.radii), self.radii)
         flat = np.abs(np.einsum("ij,ij->i", rays, up)) < MIN_TRUSTED
-        rest = np.flatnonzero(~found.settled | flat)
-        if rest.size:
-            cast = self.cast(origins[rest], rays[rest])
-            found.range_m[rest], found.points[rest] = cast.range_m, cast.points
-            found.normals[rest], found.faces[rest] = cast.normals, cast.faces
-        return found
+        unsettled = np.flatnonzero(~hits.settled | flat)
+        if unsettled.size:
+            cast = self.cast(origins[unsettled], rays[unsettled])
+            hits.range_m[unsettled], hits.points[unsettled] = cast.range_m, cast.points
+            hits.normals[unsettled], hits.faces[unsettled] = cast.normals, cast.faces
+        return hits
 
     def height(self, places: FloatArray) -> FloatArray:
         """Of places (n, 3) over the ground along the ellipsoid's normal, m; NaN deep inside."""

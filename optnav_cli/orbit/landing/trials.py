@@ -79,8 +79,8 @@ class LandingTrial:
 
     @property
     def error(self) -> FloatArray:
-        found: FloatArray = self.arrival - self.state
-        return found
+        difference: FloatArray = self.arrival - self.state
+        return difference
 
     @property
     def nees(self) -> float:
@@ -162,8 +162,8 @@ def measured_ranges(
     beams = task.settings.beams
     turns = body_from_inertial(task.motion.moon, times)
     true, known = (
-        np.einsum("nij,nj->ni", turns, task.motion.propagate(one, times, STEP_S)[:, :3])
-        for one in states
+        np.einsum("nij,nj->ni", turns, task.motion.propagate(state, times, STEP_S)[:, :3])
+        for state in states
     )
     axis = -known / np.linalg.norm(known, axis=1)[:, None]
     turned = np.radians(beams.roll_deg_s * (times - task.departure.tdb_s))

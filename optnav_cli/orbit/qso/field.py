@@ -48,14 +48,14 @@ def _solid(points: FloatArray, size: int) -> FloatArray:
     """r^n P_nm(sin lat) times cos and sin of m lon (2, n, m, i) at points (i, 3)."""
     x, y, z = points.T
     squared = x * x + y * y + z * z
-    found = np.zeros((2, size, size, len(points)))
-    found[0, 0, 0] = 1.0
+    harmonics = np.zeros((2, size, size, len(points)))
+    harmonics[0, 0, 0] = 1.0
     for m in range(size):
         if m:
-            c, s = found[:, m - 1, m - 1]
-            found[:, m, m] = (2 * m - 1) * np.stack([x * c - y * s, x * s + y * c])
+            c, s = harmonics[:, m - 1, m - 1]
+            harmonics[:, m, m] = (2 * m - 1) * np.stack([x * c - y * s, x * s + y * c])
         for n in range(m + 1, size):
-            found[:, n, m] = (2 * n - 1) * z * found[:, n - 1, m] / (n - m)
+            harmonics[:, n, m] = (2 * n - 1) * z * harmonics[:, n - 1, m] / (n - m)
             if n > m + 1:
-                found[:, n, m] -= (n + m - 1) * squared * found[:, n - 2, m] / (n - m)
-    return found
+                harmonics[:, n, m] -= (n + m - 1) * squared * harmonics[:, n - 2, m] / (n - m)
+    return harmonics

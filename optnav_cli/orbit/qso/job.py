@@ -67,32 +67,32 @@ def qso_folder(settings_path: Path, output: Path, progress: Progress) -> tuple[l
         moon = moon_of(section.body, path)
         motion = motion_of_moon(settings.forces, moon, path.parent)
         rows = find_orbits(section, motion, progress)
-        with replace_folder(output, QSO_KIND) as place:
-            QSO.write(place / QSO_CSV, (_cells(row, motion) for row in rows))
+        with replace_folder(output, QSO_KIND) as staging:
+            QSO.write(staging / QSO_CSV, (_cells(row, motion) for row in rows))
             QSO_PASSES.write(
-                place / PASSES_CSV,
+                staging / PASSES_CSV,
                 (cells for row in rows if row.orbit for cells in _pass_cells(row, motion)),
             )
             QSO_PATHS.write(
-                place / PATHS_CSV,
+                staging / PATHS_CSV,
                 (cells for row in rows for cells in _path_cells(row, section.days, motion)),
             )
             for row in rows:
                 if row.orbit is not None:
                     name = f"orbit_{row.number:02d}"
                     oem = _oem(row, row.orbit, section, motion)
-                    write_oem(place / f"{name}.oem", oem, name.upper())
-            found = [row.orbit for row in rows if row.orbit]
+                    write_oem(staging / f"{name}.oem", oem, name.upper())
+            solved = [row.orbit for row in rows if row.orbit]
             write_manifest(
-                place,
+                staging,
                 QSO_KIND,
                 command="orbit qso",
                 options=msgspec.to_builtins(settings),
                 inputs={"settings": path, "settings_sha256": hash_file(path)},
-                results={"orbits": len(rows), "found": len(found)},
+                results={"orbits": len(rows), "found": len(solved)},
                 started=started,
             )
-    if not found:
+    if not solved:
         raise NothingToDoError(f"{settings_path}: no orbit was found; the first: {rows[0].reason}")
     return rows, motion.mean_motion
 
@@ -131,8 +131,8 @@ def states_cells(
     speeds += np.einsum("nij,nj->ni", 0.5 * rates, states[:, :3])
     fixed = np.hstack([places, speeds])
     return [
-        dict(zip((*BODY_STATE, *INERTIAL), map(float, (*one, *other)), strict=True))
-        for one, other in zip(fixed, states, strict=True)
+        dict(zip((*BODY_STATE, *INERTIAL), map(float, (*fixed_state, *other)), strict=True))
+        for fixed_state, other in zip(fixed, states, strict=True)
     ]
 
 
@@ -197,12 +197,12 @@ def _path_cells(row: QsoRow, days: float, motion: MoonMotion) -> Iterator[dict[s
     for kind, state in (("orbit", row.orbit.state), ("theory", row.orbit.guess)):
         states = motion.propagate(state, row.start.tdb_s + seconds, PATH_STEP_S)
         places = np.einsum("nij,nj->ni", turning, states[:, :3]) / 1e3
-        for after, place in zip(seconds, places, strict=True):
+        for after, position in zip(seconds, places, strict=True):
             # a path that falls in or leaves is drawn as far as it is one
-            share = 1e3 * float(np.linalg.norm(place)) / row.orbit.radius_m
+            share = 1e3 * float(np.linalg.norm(position)) / row.orbit.radius_m
             if not 0.05 < share < 9.0:
                 break
-            axes = dict(zip(("x_km", "y_km", "z_km"), map(float, place), strict=True))
+            axes = dict(zip(("x_km", "y_km", "z_km"), map(float, position), strict=True))
             yield {"orbit": row.number, "kind": kind, "seconds": float(after), **axes}
 
 

@@ -108,8 +108,8 @@ def _rates(
     out: FloatArray,
 ) -> None:
     """Derivative of a state (6,) or of a state with its transition (42,), row by row."""
-    away = y[0] - planet[0], y[1] - planet[1], y[2] - planet[2]
-    far = _pull(pair.planet_gm, pair.planet_shape, away[0], away[1], away[2])
+    offset = y[0] - planet[0], y[1] - planet[1], y[2] - planet[2]
+    far = _pull(pair.planet_gm, pair.planet_shape, offset[0], offset[1], offset[2])
     near = _pull(pair.moon_gm, shape, y[0], y[1], y[2])
     for i in range(3):
         out[i] = y[3 + i]
@@ -118,14 +118,14 @@ def _rates(
     out[5] = far[2] + near[2] - own_pull[2]
     if pair.field[1].shape[0] > 0:
         felt = np.empty(3)
-        place = turn @ np.array([y[0], y[1], y[2]])
-        pull(place, (pair.moon_gm, pair.radius_m), pair.field, felt)
-        rest = turn.T @ felt
+        position = turn @ np.array([y[0], y[1], y[2]])
+        pull(position, (pair.moon_gm, pair.radius_m), pair.field, felt)
+        inertial = turn.T @ felt
         for i in range(3):
-            out[3 + i] += rest[i]
+            out[3 + i] += inertial[i]
     if y.size == 42:
         gradient = np.zeros((3, 3))
-        _add_gradient(pair.planet_gm, pair.planet_shape, np.array(away), gradient)
+        _add_gradient(pair.planet_gm, pair.planet_shape, np.array(offset), gradient)
         _add_gradient(pair.moon_gm, shape, np.array([y[0], y[1], y[2]]), gradient)
         for j in range(6):
             for i in range(3):
@@ -200,11 +200,15 @@ class MoonMotion:
             )
         self.moon, self.orbit = moon, moon.orbit
         self.planet = load_body(moon.orbit.around)
-        own = moon.gravity if field == "body" else None
+        gravity = moon.gravity if field == "body" else None
         self._diagonal = np.zeros(3)
-        if own is not None:
-            lines = [own.j2 / 2.0 + 3.0 * own.c22, own.j2 / 2.0 - 3.0 * own.c22, -own.j2]
-            self._diagonal = (own.radius_km * 1e3) ** 2 * np.array(lines)
+        if gravity is not None:
+            lines = [
+                gravity.j2 / 2.0 + 3.0 * gravity.c22,
+                gravity.j2 / 2.0 - 3.0 * gravity.c22,
+                -gravity.j2,
+            ]
+            self._diagonal = (gravity.radius_km * 1e3) ** 2 * np.array(lines)
         radius_m, table = 1.0, (np.zeros((0, 0)), np.zeros(0))
         if isinstance(field, HarmonicField):
             radius_m, table = field.radius_m, harmonic_tables(field, field.degree)[0]
@@ -252,12 +256,12 @@ class MoonMotion:
         stages = times[:-1, None] + steps[:, None] * _C
         turns = body_from_inertial(self.moon, stages)
         planet = self.planet_m(stages.ravel()).reshape(*stages.shape, 3)
-        away = np.linalg.norm(planet, axis=-1, keepdims=True)
-        own_pull = self.pair.planet_gm * planet / away**3
+        distance = np.linalg.norm(planet, axis=-1, keepdims=True)
+        own_pull = self.pair.planet_gm * planet / distance**3
         if self.pair.planet_shape.any():
             bent = -planet @ self.pair.planet_shape
             q = np.einsum("...i,...i->...", -planet, bent)[..., None]
-            flat = 2.0 * bent / away**5 + 5.0 * q * planet / away**7
+            flat = 2.0 * bent / distance**5 + 5.0 * q * planet / distance**7
             own_pull = own_pull + self.pair.planet_gm * flat
         shape = np.einsum("...ki,k,...kj->...ij", turns, self._diagonal, turns)
         tables = (np.ascontiguousarray(v) for v in (steps, planet, own_pull, shape, turns))

@@ -37,20 +37,20 @@ def qso_page(folder: Path) -> str:
     """The page. Raises DataError for a folder that lacks its tables or whose tables are damaged."""
     manifest = read_manifest(folder)
     rows = QSO.rows(folder / QSO_CSV)
-    found = [row for row in rows if row["status"] == "solved"]
+    solved_rows = [row for row in rows if row["status"] == "solved"]
     paths = _paths(folder)
-    numbers = [(f"{len(found)} of {len(rows)}", "starts have an orbit")]
-    spreads = [value for row in found if (value := row.number("spread_km")) is not None]
+    numbers = [(f"{len(solved_rows)} of {len(rows)}", "starts have an orbit")]
+    spreads = [value for row in solved_rows if (value := row.number("spread_km")) is not None]
     if spreads:
         numbers.append((f"{max(spreads):.2f} km", "is the largest difference of a pass"))
     sections = [
         html.section("Result", html.tiles(numbers)),
-        html.section("Rings", *_rings(found, paths, _moon(manifest))),
-        html.section("Passes of the longitude", *_passes(folder, found)),
+        html.section("Rings", *_rings(solved_rows, paths, _moon(manifest))),
+        html.section("Passes of the longitude", *_passes(folder, solved_rows)),
         html.section("Orbits", html.table(HEADER, [_cells(row) for row in rows])),
         html.section("How it was made", html.format_listing(format_json(manifest))),
     ]
-    words = f"{len(found)} orbits that pass one longitude always at the same distance"
+    words = f"{len(solved_rows)} orbits that pass one longitude always at the same distance"
     return html.build_page("Quasi-satellite orbits", words, sections)
 
 
@@ -169,11 +169,11 @@ def _cells(row: CsvRow) -> tuple[str, ...]:
 
 def _paths(folder: Path) -> dict[tuple[str, str], FloatArray]:
     """Paths (n, 3), km, by number of the orbit and kind."""
-    found: dict[tuple[str, str], list[list[float]]] = {}
+    by_orbit: dict[tuple[str, str], list[list[float]]] = {}
     for row in QSO_PATHS.rows(folder / PATHS_CSV):
         axes = [row.number(name) or 0.0 for name in ("x_km", "y_km", "z_km")]
-        found.setdefault((row["orbit"], row["kind"]), []).append(axes)
-    return {key: np.array(points) for key, points in found.items()}
+        by_orbit.setdefault((row["orbit"], row["kind"]), []).append(axes)
+    return {key: np.array(points) for key, points in by_orbit.items()}
 
 
 def _moon(manifest: dict[str, object]) -> Body:

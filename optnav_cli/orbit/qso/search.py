@@ -111,11 +111,11 @@ class QsoSearch:
         self.motion, self.start, self.days, self._greatest = motion, start, days, greatest
         moon = motion.moon
         cosine, sine = np.cos(start.longitude), np.sin(start.longitude)
-        place = np.array([cosine, sine, 0.0])  # body frame
-        surface = float(np.linalg.norm(project_to_surface(place, moon.radii_m)))
+        outward = np.array([cosine, sine, 0.0])  # body frame
+        surface = float(np.linalg.norm(project_to_surface(outward, moon.radii_m)))
         self.radius_m = surface + start.distance_m
         self._across = np.array([-sine, cosine, 0.0])
-        self._along = place
+        self._along = outward
         self._guess, self.theory_rate = self._first(surface)
         self._table, self._turns, self._times = self._tables(SEARCH_STEP_S)
 
@@ -124,12 +124,12 @@ class QsoSearch:
         at = np.array([self.start.tdb_s])
         turning = self.motion.turning_from_inertial(at)[0]
         turns = body_from_inertial(self.motion.moon, at)[0]
-        place = turning @ (turns.T @ self._along) * self.radius_m
+        position = turning @ (turns.T @ self._along) * self.radius_m
         planet = float(np.linalg.norm(self.motion.planet_m(at)[0]))
         share = self.motion.pair.moon_gm / self.motion.pair.planet_gm
         hill = float(share ** (1.0 / 3.0))
         unit_m = planet * hill
-        direction = float(np.arctan2(place[1], place[0]))
+        direction = float(np.arctan2(position[1], position[0]))
         # what is averaged goes by the planet's mean distance, the start by that of its time
         mean = self.radius_m / (1e3 * self.motion.orbit.semi_major_axis_km * hill)
         de = mean * float(np.hypot(2.0 * np.cos(direction), np.sin(direction)))
@@ -153,7 +153,7 @@ class QsoSearch:
         flat = unit_m * np.array([x, y, 0.0])
         velocity = unit_m * turn * np.array([dx, dy, 0.0]) + recession / planet * flat
         velocity = velocity + np.cross([0.0, 0.0, turn], flat)
-        return np.concatenate([turning.T @ place, turning.T @ velocity]), rate
+        return np.concatenate([turning.T @ position, turning.T @ velocity]), rate
 
     def _tables(self, step_s: float) -> tuple[FlightTable, FloatArray, FloatArray]:
         steps = max(int(np.ceil(self.days * DAY_S / step_s)), 4)
@@ -274,8 +274,8 @@ class QsoSearch:
             "fatol": SETTLED_M,
         }
         cost: Callable[[FloatArray, float], float] = self.cost
-        found = minimize(cost, first, args=(beyond,), method="Nelder-Mead", options=options)
-        return found.x, float(found.fun), int(found.nfev)
+        result = minimize(cost, first, args=(beyond,), method="Nelder-Mead", options=options)
+        return result.x, float(result.fun), int(result.nfev)
 
     def passes(self, state: FloatArray) -> QsoPasses:
         """All passes of a flight, the start as the first, at a finer step."""

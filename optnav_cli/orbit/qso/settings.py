@@ -119,12 +119,12 @@ def start_times(section: QsoSection, motion: MoonMotion) -> FloatArray:
     """TDB s of the starts: the times, or after each the first at which the anomaly is reached."""
     orbit, turn = motion.orbit, 2.0 * np.pi
     rate = np.radians(orbit.mean_anomaly_deg_by_century[1]) / CENTURY_S
-    found = []
+    epochs_s = []
     for time in times_of(section):
         tdb_s = utc_to_tdb_s(time)
         if not section.anomaly_deg:
-            found.append(tdb_s)
+            epochs_s.append(tdb_s)
         for anomaly in np.radians(section.anomaly_deg):
             now = float(compute_mean_anomaly(orbit, tdb_s)) % turn
-            found.append(tdb_s + (anomaly - now) % turn / rate)
-    return np.array(found)
+            epochs_s.append(tdb_s + (anomaly - now) % turn / rate)
+    return np.array(epochs_s)
