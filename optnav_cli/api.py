@@ -30,7 +30,7 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.navigate.answers import NavigationInputs
 from optnav_cli.navigate.autonomous import Navigator
-from optnav_cli.navigate.inputs import open_catalogs, open_field, whole_relief
+from optnav_cli.navigate.inputs import choose_relief, open_catalogs, open_field
 from optnav_cli.navigate.job import navigate_folder as navigate_pictures
 from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.pages import write_report
@@ -123,7 +123,7 @@ def navigate_picture(
         body = load_body(str(known.get("body") or opened[0].meta.body))
         motion = AnalyticEphemeris(body)
         points = open_field(opened, body)
-        relief = whole_relief(opened, None, body)
+        relief = choose_relief(opened, None, body)
         inputs = NavigationInputs(points, motion, relief, NavigateSettings(), match_ncc)
         frame = Frame(
             file=picture.name,

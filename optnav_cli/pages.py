@@ -10,7 +10,7 @@ from optnav_cli.calibration.page import build_calibration_page, is_calibration
 from optnav_cli.cylinder.page import CYLINDER_KIND, build_cylinder_page, draw_cylinder_sheet
 from optnav_cli.hazard.page import make_hazard_page
 from optnav_cli.hazard.settings import KIND as HAZARD
-from optnav_cli.navigate.page import run_page
+from optnav_cli.navigate.page import make_run_page
 from optnav_cli.orbit.delivery.page import delivery_page, delivery_sheet
 from optnav_cli.orbit.delivery.settings import DELIVERY_KIND
 from optnav_cli.orbit.fit.page import orbit_page, orbit_sheet
@@ -78,7 +78,9 @@ def _write(source: Path, output: Path) -> None:
         return
     if source.is_dir():
         made = (draw for kind, draw in PAGES.items() if is_made_by_optnav(source, kind))
-        text = next(made, build_calibration_page if is_calibration(source) else run_page)(source)
+        text = next(made, build_calibration_page if is_calibration(source) else make_run_page)(
+            source
+        )
     elif source.is_file():
         with Catalog.open(source) as catalog:
             text = build_catalog_page(catalog)

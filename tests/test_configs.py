@@ -101,7 +101,7 @@ def load_model(path: Path) -> object:
     from optnav_cli.orbit.fit.motion import OrbitNoiseSizes
     from optnav_cli.orbit.fit.shared_errors import SharedErrorSizes
     from optnav_cli.outline.disc.size import DiscErrorSizes
-    from optnav_cli.outline.limb.sizes import HorizonSizes
+    from optnav_cli.outline.limb.limb_rays import HorizonSizes
     from optnav_cli.outline.silhouette.method import SilhouetteErrors
 
     types: dict[str, type[object]] = {

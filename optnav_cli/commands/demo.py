@@ -59,8 +59,7 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     from catalog.files import check_folder
     from catalog.pipeline import build
     from catalog.places import lock_output, make_folder
-    from optnav_cli.evaluation.files import evaluate_run, write_evaluation
-    from optnav_cli.evaluation.table import format_table
+    from optnav_cli.evaluation.files import evaluate_run, format_table, write_evaluation
     from optnav_cli.navigate.job import navigate_folder
     from optnav_cli.navigate.worker import RunInputs
     from optnav_cli.output.manifest import write_manifest

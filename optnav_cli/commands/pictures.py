@@ -202,9 +202,8 @@ def evaluate(
     """
     from catalog.errors import UsageError
     from catalog.files import is_made_by_optnav
-    from optnav_cli.evaluation.figures import Limits, check_limits, limit_checks
-    from optnav_cli.evaluation.files import evaluate_run, summary_of, write_evaluation
-    from optnav_cli.evaluation.table import format_table
+    from optnav_cli.evaluation.figures import Limits, check_limits, list_limit_checks
+    from optnav_cli.evaluation.files import evaluate_run, format_table, summarise, write_evaluation
     from optnav_cli.output.wording import format_json
 
     if is_made_by_optnav(run, "hazard"):
@@ -226,8 +225,8 @@ def evaluate(
     evaluation, wanted = evaluate_run(run, truth), Limits(**limits)
     figures = evaluation.figures_if_any()
     if as_json:
-        checks = [check._asdict() for check in limit_checks(figures, wanted)]
-        document = {"run": run, "truth": truth} | summary_of(evaluation) | {"limits": checks}
+        checks = [check._asdict() for check in list_limit_checks(figures, wanted)]
+        document = {"run": run, "truth": truth} | summarise(evaluation) | {"limits": checks}
         click.echo(format_json(document))
     else:
         click.echo(format_table(evaluation))
@@ -248,13 +247,13 @@ def _evaluate_measured(folder: Path, truth: Path, kind: str, as_json: bool) -> N
 
 
 def _evaluate_orbit(folder: Path, truth: Path, as_json: bool, given: dict[str, Any]) -> None:
-    from optnav_cli.evaluation.figures import Limits, check_limits, limit_checks
+    from optnav_cli.evaluation.figures import Limits, check_limits, list_limit_checks
     from optnav_cli.orbit.fit.evaluate import evaluate_orbit, write_orbit_evaluation
     from optnav_cli.output.wording import format_json
 
     evaluation, wanted = evaluate_orbit(folder, truth), Limits(**given)
     if as_json:
-        checks = [check._asdict() for check in limit_checks(evaluation.figures, wanted)]
+        checks = [check._asdict() for check in list_limit_checks(evaluation.figures, wanted)]
         document = {"run": folder, "truth": truth} | evaluation.summary() | {"limits": checks}
         click.echo(format_json(document))
     else:

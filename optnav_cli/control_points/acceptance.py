@@ -8,10 +8,14 @@ Moisan, Morel, "Meaningful alignments", IJCV 2000): how often would unrelated gr
 scores as good as these? The third is ours: the same ground lit from another side still correlates,
 a crater's width aside, and in many points at once, which no test against chance refuses.
 
+A search near its place has no room for a rival, and any pattern has a highest score in it: smooth
+brightness scores 0.4 to 0.5 anywhere. So points are searched again about the solved pose, farther,
+until those that are unambiguous there carry it (`drop_disproven`).
+
 The limits are fitted numbers, in FILE.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Annotated, NamedTuple
 
@@ -38,7 +42,7 @@ class _Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ChanceLaw(_Limits, frozen=True):
-    """How good a score unrelated ground offers."""
+    """Distribution of scores that unrelated ground offers."""
 
     level: Positive
     decade: Positive
@@ -63,7 +67,7 @@ class ScatterLimits(_Limits, frozen=True):
 
 
 class PartLimits(_Limits, frozen=True):
-    """How many parts of templates behind a blur carry a solution."""
+    """Number of parts of templates behind a blur that a solution needs."""
 
     fewest: Annotated[int, msgspec.Meta(ge=2)]
 
@@ -98,36 +102,36 @@ class AcceptanceLimits(_Limits, frozen=True):
 
 
 @cache
-def acceptance_limits() -> AcceptanceLimits:
-    """The limits that ship with optnav. Raises ConfigError for a wrong file."""
+def load_acceptance_limits() -> AcceptanceLimits:
+    """Load the limits that ship with optnav. Raises ConfigError for a wrong file."""
     return load_toml(resource(FILE), AcceptanceLimits)
 
 
-def log10_false_alarms(scores: ArrayLike, tried: int, template_nodes: ArrayLike) -> float:
-    """Powers of ten against chance that the scores of the used points give.
+def compute_decades(scores: ArrayLike, tried: int, template_nodes: ArrayLike) -> float:
+    """Compute powers of ten against chance that the scores of the used points give.
 
     scores          (k,) of the points that the solution uses
     tried           number of points searched, k or more: picking k of them helps chance
     template_nodes  (k,) sides of the references, of nodes that err each for itself
     """
-    chance = acceptance_limits().chance
+    chance = load_acceptance_limits().chance
     scores = np.asarray(scores, dtype=np.float64)
     strength = scores * np.asarray(template_nodes) / np.sqrt(CHANCE_NODES_PER_SAMPLE)
     each = np.maximum(strength - chance.level, 0.0) / chance.decade
-    return float(each.sum()) - _choices(len(scores), tried)
+    return float(each.sum()) - _count_choices(len(scores), tried)
 
 
-def decades_of_parts(
+def compute_part_decades(
     strengths: ArrayLike, own_shares: ArrayLike, tried: int, searched_postings: float
 ) -> float:
-    """The same of templates behind a blur, of which a frame may show parts that overlap.
+    """Compute powers of ten against chance for templates behind a blur, whose parts may overlap.
 
     strengths   (k,) scores times the root of the samples that were compared
-    own_shares  (k,) of each one's evidence, as `overlap.own_shares`
+    own_shares  (k,) of each one's evidence, see `compute_evidence_shares`
     tried       number of points searched, k or more
     searched_postings  how far the first search went, in postings of the terrain model
     """
-    chance = acceptance_limits().chance
+    chance = load_acceptance_limits().chance
     strengths = np.asarray(strengths, dtype=np.float64)
     each = np.maximum(strengths - chance.part_level, 0.0) / chance.part_decade
     # so many times as many places were offered as where the law was measured
@@ -136,26 +140,26 @@ def decades_of_parts(
     )
     shares = np.asarray(own_shares, dtype=np.float64)
     # points that see the same ground are not chosen one by one either
-    return float((each * shares).sum() - _choices(len(strengths), tried) * shares.mean())
+    return float((each * shares).sum() - _count_choices(len(strengths), tried) * shares.mean())
 
 
-def _choices(used: int, tried: int) -> float:
-    """Powers of ten of the ways to pick the used points of those that were tried."""
+def _count_choices(used: int, tried: int) -> float:
+    """Count the ways to pick the used points of those tried, as powers of ten."""
     offered = max(tried, used)
     choices = gammaln(offered + 1.0) - gammaln(used + 1.0) - gammaln(offered - used + 1.0)
     return float(choices / np.log(10.0))
 
 
-def rejection_of_matches(
+def check_matches(
     solution: Resection,
     decades: float,
     tried: int,
     min_decades: float,
     max_factor: float,
 ) -> Reason:
-    """Why the matches do not carry the solution; empty when they do.
+    """Check that the matches support the solution; return the reason where not.
 
-    decades  against chance, of `log10_false_alarms` or `decades_of_parts`;  tried as there
+    decades  against chance, of `compute_decades` or `compute_part_decades`;  tried as there
     """
     used = int(solution.used.sum())
     if solution.degrees_of_freedom < 1:
@@ -173,20 +177,20 @@ def rejection_of_matches(
     return NO_REASON
 
 
-def rejection_of_parts(used: int) -> Reason:
-    """Why so many parts of templates behind a blur carry no solution; empty when they do."""
-    fewest = acceptance_limits().parts.fewest
+def check_parts(used: int) -> Reason:
+    """Check that there are enough parts of templates behind a blur; return the reason if not."""
+    fewest = load_acceptance_limits().parts.fewest
     if used >= fewest:
         return NO_REASON
     text = f"{used} control points, seen in parts, agree; at least {fewest} are needed"
     return Reason(ReasonCode.FEW_POINTS, text)
 
 
-def rejection_of_place(
+def check_position(
     position_m: FloatArray, covariance_m2: FloatArray, prior: PositionPrior
 ) -> Reason:
-    """Why a position (3,) with covariance (3, 3) contradicts its prior; empty when it does not."""
-    limits = acceptance_limits().prior
+    """Check a position (3,) with covariance (3, 3) against its prior; return the contradiction."""
+    limits = load_acceptance_limits().prior
     offset = position_m - prior.position_m
     spread = covariance_m2 + prior.covariance_m2 + np.eye(3) * limits.floor_m**2
     if squared_distance(offset, spread) < chdtri(3, limits.probability):
@@ -200,7 +204,7 @@ def rejection_of_place(
 
 
 class PointLight(NamedTuple):
-    """Where the light on a point's ground comes from, as its picture shows.
+    """Direction of the light on a point's ground, as its picture shows.
 
     stated  share of the contrast that the template under the stated Sun explains, at its best place
     free    share that light of any azimuth explains, at the best place of that
@@ -213,10 +217,10 @@ class PointLight(NamedTuple):
     across: float
 
 
-def point_light(
+def measure_light(
     template: Float32Array, aside: Float32Array, window: Float32Array, margin_nodes: int
 ) -> PointLight:
-    """The light on the ground of a template, from the picture about the place where it was found.
+    """Measure the light on a template's ground from the picture where it was matched.
 
     template, aside (n, n)  under the stated Sun and under one whose azimuth is 90 deg on
     window (m, m)           of the picture, m - n even;  margin_nodes  of all three, as `match_ncc`
@@ -236,19 +240,22 @@ def point_light(
     alone = max(1.0 - common**2, 0.1)  # else the azimuth shows in hardly anything
     shares = (first**2 + second**2 - 2.0 * common * first * second) / alone
     at = np.unravel_index(int(np.argmax(shares)), shares.shape)
-    one, other = float(first[at]), float(second[at])
+    towards_sun, sideways = float(first[at]), float(second[at])
     stated = max(float(first.max()), 0.0) ** 2
-    along, across = (one - common * other) / size[0], (other - common * one) / size[1]
+    along, across = (
+        (towards_sun - common * sideways) / size[0],
+        (sideways - common * towards_sun) / size[1],
+    )
     length = max(float(np.hypot(along, across)), 1e-30)
     return PointLight(stated, float(shares[at]), along / length, across / length)
 
 
-def rejection_of_light(lights: Sequence[PointLight]) -> Reason:
-    """Why the picture of some points contradicts the stated Sun; empty when it does not."""
+def check_light(lights: Sequence[PointLight]) -> Reason:
+    """Check the light on some points against the stated Sun; return the contradiction."""
     stated, free, along, across = np.reshape(lights, (-1, 4)).T
     sideways, towards = float(free @ across), float(free @ along)
     turn_deg = float(np.degrees(np.arctan2(sideways, towards)))
-    limits = acceptance_limits().light
+    limits = load_acceptance_limits().light
     agree = np.hypot(sideways, towards) >= limits.agreement * free.sum()
     gain = limits.agreeing_gain if agree else limits.gain
     if free.sum() <= gain * stated.sum() or abs(turn_deg) < limits.turn_deg:
@@ -259,3 +266,30 @@ def rejection_of_light(lights: Sequence[PointLight]) -> Reason:
         f"the ground is lit from about {abs(turn_deg):.0f} deg {way} (seen from above) of the "
         "stated Sun: the direction to the Sun, the time or the attitude is wrong",
     )
+
+
+# Room to every side, nodes: three times as many places as a peak itself takes.
+PROOF_NODES = 12
+
+
+def drop_disproven(
+    stands_alone: Callable[[int], bool],
+    strongest: Sequence[int],
+    decades: Callable[[list[int]], float],
+    least: float,
+) -> list[int]:
+    """Leave out points whose ground looks alike elsewhere in a wider search.
+
+    stands_alone  whether a point does, in that search
+    strongest     points that the solution uses, by what they say against chance, most first
+    decades       powers of ten against chance that some of them give;  least that are asked for
+
+    Stops where those that stand alone give enough. Returns the points not left out.
+    """
+    proven: list[int] = []
+    for tried, k in enumerate(strongest, 1):
+        if stands_alone(k):
+            proven.append(k)
+        if proven and decades(proven) >= least:
+            return [*proven, *strongest[tried:]]
+    return proven

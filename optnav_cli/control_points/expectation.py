@@ -15,19 +15,16 @@ from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.picture_pyramid import PicturePyramid
-from optnav_cli.control_points.search_plan import finest_level, template_nodes
+from optnav_cli.control_points.search_plan import choose_template_nodes, find_finest_level
 from optnav_cli.control_points.settings import NavigateSettings, ViewSettings
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.frames.observation import Observation
 from optnav_cli.reasons import Reason, ReasonCode, format_distinct
 
-# A point may lie so far beyond the frame, share of its template's side, if a part is enough.
-BEYOND_SHARE = 0.3
-
 
 @dataclass(frozen=True, eq=False)
 class FrameContext:
-    """What stays the same while a frame is navigated; `picture` is the observation's."""
+    """Constant inputs of a frame's navigation; `picture` is the observation's."""
 
     observation: Observation
     picture: PicturePyramid
@@ -45,13 +42,15 @@ class FrameContext:
         """(3,) unit vector to the Sun, body frame."""
         return self.observation.sun_body
 
-    def finest_level(self, postings_m: FloatArray, metres_per_pixel: float) -> int:
-        """The finest of some levels worth matching at a ground sample distance."""
+    def find_finest_level(self, postings_m: FloatArray, metres_per_pixel: float) -> int:
+        """Find the finest level worth matching at a ground sample distance."""
         share = self.settings.match.finest_posting_per_gsd
-        return finest_level(postings_m, metres_per_pixel, share)
+        return find_finest_level(postings_m, metres_per_pixel, share)
 
-    def template_nodes(self, posting_m: float, metres_per_pixel: float, known_m: float) -> int:
-        """Side of the template at a level's posting, nodes.
+    def choose_template_nodes(
+        self, posting_m: float, metres_per_pixel: float, known_m: float
+    ) -> int:
+        """Choose the side of the template at a level's posting, nodes.
 
         known_m  posting of the terrain model. A frame may cut what is cut from a coarser model: a
                  smaller template would hold too little that is known.
@@ -59,7 +58,7 @@ class FrameContext:
         if posting_m < known_m:
             return self.settings.match.template_nodes
         width_m = metres_per_pixel * min(self.camera.width_px, self.camera.height_px)
-        return template_nodes(posting_m, width_m, self.settings.match.template_nodes)
+        return choose_template_nodes(posting_m, width_m, self.settings.match.template_nodes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +101,8 @@ class ExpectedPoints:
         return len(self.index)
 
 
-def expected(frame: FrameContext, pose: Pose, whole: bool) -> ExpectedPoints:
-    """Points expected in the frame, whole with their finest template or with their centre only.
+def find_expected(frame: FrameContext, pose: Pose, whole: bool) -> ExpectedPoints:
+    """Find points expected in the frame, whole with their finest template or centre only.
 
     Of templates that the frame may cut a part is enough; it may be without the centre.
     """
@@ -115,31 +114,33 @@ def expected(frame: FrameContext, pose: Pose, whole: bool) -> ExpectedPoints:
     # far fewer distinct answers than points: steps of a tenth are finer than any level needs
     steps = np.floor(np.log(samples) / np.log(1.1))
     for number, layer in enumerate(points.layers):
-        own = points.layer_of[near] == number
-        for step in np.unique(steps[own]):
-            these = own & (steps == step)
+        of_layer = points.layer_of[near] == number
+        for step in np.unique(steps[of_layer]):
+            these = of_layer & (steps == step)
             sample = float(1.1 ** (step + 0.5))
-            posting = float(layer.postings_m[frame.finest_level(layer.postings_m, sample)])
-            side = frame.template_nodes(posting, sample, layer.known_m) * posting
+            posting = float(layer.postings_m[frame.find_finest_level(layer.postings_m, sample)])
+            side = frame.choose_template_nodes(posting, sample, layer.known_m) * posting
             if posting < layer.known_m:
-                beyond[these] = BEYOND_SHARE * side / samples[these]
+                # Where a part is enough a point may lie 30 % of its template's side beyond the
+                # frame.
+                beyond[these] = 0.3 * side / samples[these]
             elif whole:
                 half[these] = side / 2.0
     candidates = CandidatePoints(
         points.xyz_m[near], half, points.skyline_deg[near], points.verticals[near], beyond
     )
-    seen = expected_in_view(candidates, camera, pose, frame.sun_body, limits)
+    seen = find_in_view(candidates, camera, pose, frame.sun_body, limits)
     return replace(seen, index=near[seen.index])
 
 
-def expected_in_view(
+def find_in_view(
     candidates: CandidatePoints,
     camera: Camera,
     pose: Pose,
     sun_body: FloatArray,
     limits: ViewSettings,
 ) -> ExpectedPoints:
-    """The candidates that a frame should show whole; sun_body (3,) unit vector, body frame."""
+    """Find the candidates that a frame should show whole; sun_body (3,) unit vector, body frame."""
     points_m, verticals = candidates.points_m, candidates.verticals
     if verticals is None:
         verticals = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
@@ -156,25 +157,25 @@ def expected_in_view(
     index = np.flatnonzero(limits_ok)
     skyline_deg = candidates.skyline_deg
     if skyline_deg is not None and len(index):
-        index = index[_above_skyline(verticals[index], to_camera[index], skyline_deg[index])]
+        index = index[_is_above_skyline(verticals[index], to_camera[index], skyline_deg[index])]
     if len(index) == 0:
         none = np.empty(0)
         return ExpectedPoints(np.empty(0, dtype=np.intp), np.empty((0, 2)), none, none, none)
     camera_from_body = pose.turn
     centres = (points_m[index] - pose.position_m) @ camera_from_body.T
     pixels, by_point = camera.project_with_jacobian(centres)
-    east, north = _horizontals(verticals[index])
+    east, north = _compute_horizontals(verticals[index])
     ground = np.stack([east @ camera_from_body.T, north @ camera_from_body.T], axis=-1)
     jacobian = by_point @ ground
     with np.errstate(invalid="ignore"):
         metres_per_pixel = 1.0 / np.sqrt(np.abs(np.linalg.det(jacobian)))
     beyond = candidates.beyond_px
     room = np.zeros(len(index)) if beyond is None else beyond[index]
-    inside = _inside(pixels, camera, room) & np.isfinite(metres_per_pixel)
+    inside = _is_inside(pixels, camera, room) & np.isfinite(metres_per_pixel)
     for sx, sy in product((-1.0, 1.0), repeat=2):
         offset = candidates.half_width_m[index, None] * (sx * east + sy * north)
         corner, _ = camera.project_with_jacobian(centres + offset @ camera_from_body.T)
-        inside &= _inside(corner, camera, room)
+        inside &= _is_inside(corner, camera, room)
     chosen = index[inside]
     sun_deg = np.degrees(np.arcsin(np.clip(sin_sun[chosen], -1.0, 1.0)))
     emission_deg = np.degrees(np.arccos(np.clip(cos_emission[chosen], -1.0, 1.0)))
@@ -182,7 +183,7 @@ def expected_in_view(
 
 
 def select_evenly(view: ExpectedPoints, count: int) -> ExpectedPoints:
-    """At most `count` points, evenly over the frame: each next is the farthest from all so far."""
+    """Select up to `count` points evenly: each next is the farthest from all so far."""
     if len(view) <= count:
         return view
     chosen = [int(np.argmin(np.linalg.norm(view.pixels - view.pixels.mean(axis=0), axis=1)))]
@@ -195,15 +196,15 @@ def select_evenly(view: ExpectedPoints, count: int) -> ExpectedPoints:
     return ExpectedPoints(*(getattr(view, column.name)[keep] for column in fields(view)))
 
 
-def why_nothing_in_view(frame: FrameContext, pose: Pose) -> Reason:
-    """Which condition leaves no point in view."""
+def explain_empty_view(frame: FrameContext, pose: Pose) -> Reason:
+    """Explain which condition leaves no point in view."""
     points, limits = frame.points, frame.settings.view
     distance = float(np.linalg.norm(pose.position_m))
     if distance <= points.radius_m:
         return Reason(ReasonCode.INSIDE_BODY, "the prior position is inside the body")
     any_light = ViewSettings(-90.0, 90.0, limits.emission_max_deg)
     candidates = CandidatePoints(points.xyz_m, np.zeros(len(points)), verticals=points.verticals)
-    seen = expected_in_view(candidates, frame.camera, pose, pose.position_m / distance, any_light)
+    seen = find_in_view(candidates, frame.camera, pose, pose.position_m / distance, any_light)
     if len(seen) == 0:
         text = "no control point of the catalog in the frame at the prior pose"
         return Reason(ReasonCode.NO_POINTS_IN_VIEW, text)
@@ -224,23 +225,23 @@ def why_nothing_in_view(frame: FrameContext, pose: Pose) -> Reason:
     )
 
 
-def _inside(pixels: FloatArray, camera: Camera, room_px: FloatArray) -> BoolArray:
+def _is_inside(pixels: FloatArray, camera: Camera, room_px: FloatArray) -> BoolArray:
     room, size = room_px[:, None], np.array([camera.width_px, camera.height_px])
     with np.errstate(invalid="ignore"):
         inside: BoolArray = (pixels > -0.5 - room) & (pixels < size - 0.5 + room)
     return inside[:, 0] & inside[:, 1]
 
 
-def _horizontals(verticals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """East and north unit vectors (n, 3) of verticals (n, 3)."""
+def _compute_horizontals(verticals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute east and north unit vectors (n, 3) of verticals (n, 3)."""
     lat, lon, _ = latlon_from_xyz(verticals)
     east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lat)], axis=1)
     north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=1)
     return east, north
 
 
-def _above_skyline(up: FloatArray, to_camera: FloatArray, skyline_deg: FloatArray) -> BoolArray:
-    east, north = _horizontals(up)
+def _is_above_skyline(up: FloatArray, to_camera: FloatArray, skyline_deg: FloatArray) -> BoolArray:
+    east, north = _compute_horizontals(up)
     distance = np.linalg.norm(to_camera, axis=1)
     sine = np.einsum("ni,ni->n", up, to_camera) / distance
     elevation = np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))  # rounding, right below the camera

@@ -22,12 +22,9 @@ from catalog.store.manifest import PlanesMeta
 from catalog.terrain.error_model import TerrainErrorModel, measure_rms_slope
 from optnav_cli.control_points.reference import Reference
 
-# References kept ready to render; one of 80 nodes and 5 levels takes 130 kB.
-MAX_REFERENCES = 2000
-
 
 class PointStore(Protocol):
-    """What navigation needs of a catalog."""
+    """Access that navigation needs to a catalog."""
 
     def point(self, point_id: int) -> ControlPoint:
         """A point with its certificate."""
@@ -102,7 +99,7 @@ class ControlPointField:
     def __init__(self, layers: Sequence[PointLayer]) -> None:
         kept: list[PointLayer] = []
         for layer in layers:
-            kept.append(layer.subset(~_covered(layer, kept)))
+            kept.append(layer.subset(~_is_covered(layer, kept)))
         self.layers = tuple(kept)
         counts = [len(layer.ids) for layer in kept]
         self._first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
@@ -112,7 +109,8 @@ class ControlPointField:
         self.skyline_deg = np.concatenate([layer.skyline_deg for layer in kept])
         self.radius_m = kept[0].radius_m
         self.damaged: dict[tuple[str, int], str] = {}
-        self._references: Cache[int, Reference] = Cache(MAX_REFERENCES)
+        # A reference of 80 nodes and 5 levels takes 130 kB.
+        self._references: Cache[int, Reference] = Cache(2000)
         ranges = (np.linalg.norm(layer.xyz_m, axis=1) for layer in kept)
         self._lowest_m = [float(each.min(initial=np.inf)) for each in ranges]
         across = np.linalg.norm(unit(self.xyz_m) - self.verticals, axis=1)
@@ -135,8 +133,8 @@ class ControlPointField:
         stated = (self._stated(point) for point in index.tolist())
         return np.array([1.0 if error is None else error.against_gld100 for error in stated])
 
-    def terrain_sigmas_m(self, index: IndexArray, sizes_m: FloatArray) -> FloatArray:
-        """(n, 2) what stated errors of terrain models do to templates: shift an axis, height; m.
+    def compute_terrain_sigmas_m(self, index: IndexArray, sizes_m: FloatArray) -> FloatArray:
+        """Compute templates' sigmas (n, 2) by stated terrain errors: shift per axis, height; m.
 
         sizes_m (n,) sides of the templates on the ground. 0 where no error is stated.
         """
@@ -154,12 +152,12 @@ class ControlPointField:
         return sigmas
 
     def name(self, index: int) -> tuple[str, int]:
-        """The catalog that a point is of, and its id there."""
+        """Return the catalog of a point, and its id there."""
         layer = self._layer(index)
         return layer.name, int(layer.ids[index - self._first[self.layer_of[index]]])
 
     def index_of(self, catalog: str, point_id: int) -> int:
-        """The place of a point in the arrays. Raises KeyError for a point that is not there."""
+        """Return the index of a point in the arrays. Raises KeyError for an unknown point."""
         for number, layer in enumerate(self.layers):
             if layer.name == catalog:
                 row = int(layer.ids.searchsorted(point_id))
@@ -168,23 +166,23 @@ class ControlPointField:
         raise KeyError((catalog, point_id))
 
     def point(self, index: int) -> ControlPoint:
-        """The point at a place of the arrays."""
+        """Return the point at an index of the arrays."""
         return self._layer(index).store.point(self.name(index)[1])
 
     def near(self, position_m: FloatArray, emission_max_deg: float) -> IndexArray:
-        """Places of all points that a camera may see at less than an emission angle (a superset).
+        """Find all points that a camera may see at less than an emission angle (a superset).
 
         position_m  (3,) body frame. Points are taken by the cells below the camera, so that the
         time goes with what is in view, not with the catalog.
         """
         lat, lon, distance = (float(v) for v in latlon_from_xyz(position_m))
-        found = []
+        rows_in_view = []
         for number, layer in enumerate(self.layers):
             if len(layer.ids) == 0:
                 continue
             if layer.planes is not None and layer.planes.verticals_deg:
                 # ground that leans anywhere may be seen from anywhere
-                found.append(np.arange(self._first[number], self._first[number + 1]))
+                rows_in_view.append(np.arange(self._first[number], self._first[number + 1]))
                 continue
             # the lower a point lies, the farther from the camera's foot it is still seen
             lowest = self._lowest_m[number]
@@ -198,51 +196,55 @@ class ControlPointField:
             rows = rows[rows < len(layer.ids)]
             rows = rows[layer.ids[rows] == cells[: len(rows)]]
             # whole bands of cells are given near a pole
-            place = layer.xyz_m[rows]
-            cosine = place @ position_m / (np.linalg.norm(place, axis=1) * distance)
+            positions = layer.xyz_m[rows]
+            cosine = positions @ position_m / (np.linalg.norm(positions, axis=1) * distance)
             rows = rows[cosine >= np.cos(np.radians(reach_deg)) - 1e-9]
-            found.append(rows + self._first[number])
-        return np.concatenate(found).astype(np.intp) if found else np.empty(0, dtype=np.intp)
+            rows_in_view.append(rows + self._first[number])
+        return (
+            np.concatenate(rows_in_view).astype(np.intp)
+            if rows_in_view
+            else np.empty(0, dtype=np.intp)
+        )
 
     def reference(self, index: int) -> Reference | None:
-        """A point ready to render; None when its patches are damaged."""
+        """Return a point ready to render; None when its patches are damaged."""
         name = self.name(index)
         if name in self.damaged:
             return None
         layer = self._layer(index)
         planes_on_m = None if layer.planes is None else layer.planes.radii_m
 
-        def made() -> Reference:
+        def make_reference() -> Reference:
             point, patches = layer.store.point(name[1]), layer.store.patches(name[1])
             return Reference(point, patches, layer.radius_m, planes_on_m)
 
         try:
-            return self._references.get(index, made)
+            return self._references.get(index, make_reference)
         except DataError as error:
             self.damaged[name] = str(error)
             return None
 
     def distances_m(self, places_m: FloatArray) -> FloatArray:
-        """Of places (..., 3), m, from the nearest point, along the reference sphere."""
-        found: FloatArray = self._tree.query(self.radius_m * unit(places_m))[0]
-        return found
+        """Compute distances of positions (..., 3) to the nearest point along the sphere, m."""
+        distances: FloatArray = self._tree.query(self.radius_m * unit(places_m))[0]
+        return distances
 
     @cached_property
     def _tree(self) -> cKDTree:
         return cKDTree(self.radius_m * unit(self.xyz_m))
 
     def nearest(self, place_m: FloatArray, count: int, reach_m: float) -> list[int]:
-        """The nearest points to a place (3,), m, within a reach, nearest first.
+        """Find the nearest points to a position (3,), m, within a reach, nearest first.
 
         Along the reference sphere: the ground may lie farther below or above it than a reach.
         """
         place_m = self.radius_m * unit(place_m)
-        away, found = self._tree.query(place_m, k=count, distance_upper_bound=reach_m)
-        near = np.atleast_1d(found)[np.isfinite(np.atleast_1d(away))]
+        distances, numbers = self._tree.query(place_m, k=count, distance_upper_bound=reach_m)
+        near = np.atleast_1d(numbers)[np.isfinite(np.atleast_1d(distances))]
         return [int(k) for k in near]
 
-    def half_sizes_m(self, index: int, level: int) -> list[float]:
-        """Half a side of a point's patches from a level up, m."""
+    def list_half_sizes_m(self, index: int, level: int) -> list[float]:
+        """List half sides of a point's patches from a level up, m."""
         reference = self.reference(index)
         patches = reference.patches[level:] if reference else ()
         return [(patch.size - 1) / 2.0 * patch.posting_m for patch in patches]
@@ -256,8 +258,8 @@ class ControlPointField:
         return layer.errors[row] if layer.errors else None
 
 
-def _covered(layer: PointLayer, earlier: Sequence[PointLayer]) -> BoolArray:
-    """(n,) whether an earlier layer has a point within its cell's size of a point."""
+def _is_covered(layer: PointLayer, earlier: Sequence[PointLayer]) -> BoolArray:
+    """Whether (n,) an earlier layer has a point within its cell's size of a point."""
     covered = np.zeros(len(layer.ids), dtype=bool)
     for other in earlier:
         if len(other.ids) and len(layer.ids):

@@ -22,24 +22,24 @@ from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance, unit
 from optnav_cli.control_points import acceptance
-from optnav_cli.control_points.error_model import footprints, own_shares
+from optnav_cli.control_points.acceptance import PROOF_NODES, drop_disproven
+from optnav_cli.control_points.error_model import compute_evidence_shares, draw_footprints
 from optnav_cli.control_points.expectation import (
     ExpectedPoints,
     FrameContext,
-    expected,
+    explain_empty_view,
+    find_expected,
     select_evenly,
-    why_nothing_in_view,
 )
 from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.control_points.point_match import CHANCE_NODES_PER_SAMPLE, MARGIN_NODES, PointMatch
-from optnav_cli.control_points.proof import PROOF_NODES, drop_disproven
 from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.control_points.solve import (
-    accepted,
-    agreeing_few,
+    list_accepted,
     match_all,
-    search_from,
+    match_few,
+    plan_search,
     solve,
 )
 from optnav_cli.estimation.models.points import Pose, predict
@@ -87,14 +87,14 @@ class _Pass:
     @property
     def used(self) -> list[int]:
         """Which of the points the solution keeps."""
-        return list(compress(accepted(self.matches), self.solution.used))
+        return list(compress(list_accepted(self.matches), self.solution.used))
 
     @property
     def chosen(self) -> dict[int, int]:
         """Level by point: the best one, once the finest were searched."""
         if not self.at_finest:
             return {}
-        return {int(self.view.index[k]): self.matches[k].level for k in accepted(self.matches)}
+        return {int(self.view.index[k]): self.matches[k].level for k in list_accepted(self.matches)}
 
 
 def navigate(
@@ -104,7 +104,7 @@ def navigate(
     settings: NavigateSettings,
     matcher: Matcher,
 ) -> Fix:
-    """The camera's pose from the control points in a picture.
+    """Solve the camera's pose from the control points in a picture.
 
     The prior limits the search and starts the iteration; its position is no part of the estimate.
 
@@ -116,7 +116,7 @@ def navigate(
     while len(passes) < settings.solve.max_passes and not _is_settled(passes):
         passes.append(_search(frame, prior, passes[-1] if passes else None))
     last = passes[-1]
-    reason, margins = _rejection(frame, last, passes[0].searched_postings)
+    reason, margins = _check_solution(frame, last, passes[0].searched_postings)
     evidence = replace(last.evidence, margins=margins)
     if reason:
         refused = tuple(
@@ -143,7 +143,7 @@ def _is_settled(passes: list[_Pass]) -> bool:
 
 
 def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> _Pass:
-    """One pass, from the prior or from the pose of the pass before. Raises UnsolvedFrameError."""
+    """Search once, from the prior or the pose of the pass before. Raises UnsolvedFrameError."""
     limits = frame.settings.solve
     if before is None:
         pose = Pose(prior.position_m, frame.observation.camera_from_body)
@@ -154,18 +154,18 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         pose, most = before.solution.pose, limits.max_points
         solved = before.solution.covariance
         covariance = np.pad(solved, (0, 6 - len(solved)))
-    view = expected(frame, pose, whole=before is not None)
+    view = find_expected(frame, pose, whole=before is not None)
     if len(view) < FEWEST:  # a frame hardly wider than its templates: parts of them must do
-        view = expected(frame, pose, whole=False)
+        view = find_expected(frame, pose, whole=False)
     view = select_evenly(view, most)
     if len(view) == 0:
         tried = NO_POINTS if before is None else before.evidence
         raise UnsolvedFrameError(
-            why_nothing_in_view(frame, pose), replace(tried, n_used=0, residual_rms_px=None)
+            explain_empty_view(frame, pose), replace(tried, n_used=0, residual_rms_px=None)
         )
     chosen = {} if before is None else before.chosen
-    search = search_from(frame, view, pose, covariance)
-    few = agreeing_few(search)
+    search = plan_search(frame, view, pose, covariance)
+    few = match_few(search)
     if few is not None:
         (view, matches, solution), at_finest = few, False
     else:
@@ -174,129 +174,129 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
             solution = solve(frame, view, matches, pose)
         except NoSolutionError as error:
             reason = Reason.from_error(error)
-            text = f"{reason} ({len(accepted(matches))} of {len(view)} matched)"
-            evidence = _evidence(frame, prior, view, matches, None)
+            text = f"{reason} ({len(list_accepted(matches))} of {len(view)} matched)"
+            evidence = _make_evidence(frame, prior, view, matches, None)
             raise UnsolvedFrameError(reason.with_text(text), evidence) from error
     position, covariance_m2 = solution.pose.position_m, solution.position_covariance_m2
-    reason = acceptance.rejection_of_place(position, covariance_m2, prior)
+    reason = acceptance.check_position(position, covariance_m2, prior)
     if reason:
-        raise UnsolvedFrameError(reason, _evidence(frame, prior, view, matches, None))
+        raise UnsolvedFrameError(reason, _make_evidence(frame, prior, view, matches, None))
     moved = float(np.sqrt(squared_distance(position - pose.position_m, covariance_m2)))
-    evidence = _evidence(frame, prior, view, matches, solution)
-    nodes = _moved_nodes(frame, view, matches, solution.pose)
+    evidence = _make_evidence(frame, prior, view, matches, solution)
+    nodes = _measure_move_nodes(frame, view, matches, solution.pose)
     postings = search.searched_postings
     return _Pass(view, matches, solution, evidence, moved, nodes, at_finest, postings)
 
 
-def _moved_nodes(
+def _measure_move_nodes(
     frame: FrameContext, view: ExpectedPoints, matches: list[PointMatch], pose: Pose
 ) -> float:
-    """How far matched points lie at a pose from where they were searched, rms, nodes."""
-    kept = accepted(matches)
+    """Measure how far matched points lie from where they were searched, rms, nodes."""
+    kept = list_accepted(matches)
     pixels, _ = predict(frame.camera, pose, frame.points.xyz_m[view.index[kept]])
     postings = [frame.points.postings_m(int(view.index[k]))[matches[k].level] for k in kept]
     nodes = view.metres_per_pixel[kept] / np.array(postings)
-    away = np.linalg.norm(pixels - view.pixels[kept], axis=1) * nodes
-    return float(np.sqrt(np.mean(away**2)))
+    offsets = np.linalg.norm(pixels - view.pixels[kept], axis=1) * nodes
+    return float(np.sqrt(np.mean(offsets**2)))
 
 
-def _rejection(
+def _check_solution(
     frame: FrameContext, last: _Pass, searched_postings: float
 ) -> tuple[Reason, GateMargins]:
-    """Why the last pass's solution is refused, empty when it is accepted; and how narrowly.
+    """Check the last pass's solution: reason of refusal, empty when accepted, and margins.
 
     searched_postings  of the first pass
     """
     searched = sum(match.score is not None for match in last.matches)
     parts = all(last.matches[k].part is not None for k in last.used)
-    limits = acceptance.acceptance_limits()
+    limits = acceptance.load_acceptance_limits()
     least, most = limits.decades.least, limits.scatter.points
     if parts:
         near = searched_postings <= limits.chance.near_postings
         least = limits.decades.least_of_near_parts if near else limits.decades.least_of_parts
         most = limits.scatter.parts
 
-    def decades_of(some: list[int]) -> float:
-        return _decades(frame, last, some, searched, searched_postings)
+    def compute_decades(some: list[int]) -> float:
+        return _compute_decades(frame, last, some, searched, searched_postings)
 
-    decades, alike = decades_of(last.used), 0
+    decades, n_ambiguous = compute_decades(last.used), 0
     if decades >= least:
-        kept = _proven(frame, last, decades_of, least)
-        decades, alike = decades_of(kept), len(last.used) - len(kept)
-    reason = acceptance.rejection_of_matches(last.solution, decades, searched, least, most)
-    if alike and reason.code == ReasonCode.BY_CHANCE:
-        reason = reason.with_text(f"{reason}: {alike} match as well elsewhere nearby")
+        kept = _select_proven(frame, last, compute_decades, least)
+        decades, n_ambiguous = compute_decades(kept), len(last.used) - len(kept)
+    reason = acceptance.check_matches(last.solution, decades, searched, least, most)
+    if n_ambiguous and reason.code == ReasonCode.BY_CHANCE:
+        reason = reason.with_text(f"{reason}: {n_ambiguous} match as well elsewhere nearby")
     if parts:
-        reason = reason or acceptance.rejection_of_parts(len(last.used))
-    reason = reason or acceptance.rejection_of_light(_lights(frame, last))
+        reason = reason or acceptance.check_parts(len(last.used))
+    reason = reason or acceptance.check_light(_measure_lights(frame, last))
     scatter = float(np.sqrt(last.solution.variance_factor / most))
     return reason, GateMargins(decades - least, scatter)
 
 
-def _proven(
+def _select_proven(
     frame: FrameContext, last: _Pass, decades_of: Callable[[list[int]], float], least: float
 ) -> list[int]:
-    """Used points without those that look alike elsewhere about the solved pose."""
+    """Select used points without those that look alike elsewhere about the solved pose."""
     solved = last.solution.covariance
     covariance = np.pad(solved, (0, 6 - len(solved)))
-    search = search_from(frame, last.view, last.solution.pose, covariance)
+    search = plan_search(frame, last.view, last.solution.pose, covariance)
 
-    def strength(k: int) -> float:
+    def compute_strength(k: int) -> float:
         part, score = last.matches[k].part, last.matches[k].score or 0.0
         if part is not None:
             return score * float(np.sqrt(part.samples))
-        return score * _template_side(frame, last, k) / float(np.sqrt(CHANCE_NODES_PER_SAMPLE))
+        return score * _find_template_side(frame, last, k) / float(np.sqrt(CHANCE_NODES_PER_SAMPLE))
 
     return drop_disproven(
-        lambda k: search.stands_alone(k, last.matches[k], PROOF_NODES),
-        sorted(last.used, key=strength, reverse=True),
+        lambda k: search.is_unambiguous(k, last.matches[k], PROOF_NODES),
+        sorted(last.used, key=compute_strength, reverse=True),
         decades_of,
         least,
     )
 
 
-def _decades(
+def _compute_decades(
     frame: FrameContext, last: _Pass, some: list[int], searched: int, searched_postings: float
 ) -> float:
-    """Powers of ten against chance for some points that a pass uses."""
-    whole = [k for k in some if last.matches[k].part is None]
+    """Compute powers of ten against chance for some points that a pass uses."""
+    uncut = [k for k in some if last.matches[k].part is None]
     used = [last.matches[k] for k in some]
     cut = [(match.score or 0.0, match.part) for match in used if match.part is not None]
     decades = 0.0
-    if whole:
-        sides = [_template_side(frame, last, k) for k in whole]
-        scores = [last.matches[k].score or 0.0 for k in whole]
-        decades += acceptance.log10_false_alarms(scores, searched - len(cut), sides)
+    if uncut:
+        sides = [_find_template_side(frame, last, k) for k in uncut]
+        scores = [last.matches[k].score or 0.0 for k in uncut]
+        decades += acceptance.compute_decades(scores, searched - len(cut), sides)
     if cut:
         strengths = [score * np.sqrt(part.samples) for score, part in cut]
         size_px = frame.camera.width_px, frame.camera.height_px
-        shares = own_shares(footprints([part for _, part in cut], size_px))
-        decades += acceptance.decades_of_parts(
-            strengths, shares, searched - len(whole), searched_postings
+        shares = compute_evidence_shares(draw_footprints([part for _, part in cut], size_px))
+        decades += acceptance.compute_part_decades(
+            strengths, shares, searched - len(uncut), searched_postings
         )
     return decades
 
 
-def _lights(frame: FrameContext, last: _Pass) -> list[acceptance.PointLight]:
-    """Where the light on some of the used points comes from; none where scores leave no doubt."""
-    limits = acceptance.acceptance_limits().light
+def _measure_lights(frame: FrameContext, last: _Pass) -> list[acceptance.PointLight]:
+    """Measure the light on some of the used points; none where scores leave no doubt."""
+    limits = acceptance.load_acceptance_limits().light
     scores = np.array([last.matches[k].score or 0.0 for k in last.used])
     if np.mean(scores**2) >= 1.0 / limits.agreeing_gain:
         return []  # no other light can explain so many times as much
     step = max(len(scores) / limits.points, 1.0)
     some = [last.used[int(at)] for at in np.arange(0.0, len(scores) - 0.5, step)]
-    return [_light(frame, last, k) for k in some]
+    return [_measure_light(frame, last, k) for k in some]
 
 
-def _light(frame: FrameContext, last: _Pass, k: int) -> acceptance.PointLight:
-    """The light on the ground of a used point at the solved pose."""
+def _measure_light(frame: FrameContext, last: _Pass, k: int) -> acceptance.PointLight:
+    """Measure the light on the ground of a used point at the solved pose."""
     index, level, pose = int(last.view.index[k]), last.matches[k].level, last.solution.pose
     reference = frame.points.reference(index)
     if reference is None:
         raise ValueError(f"point {index} was matched and has no patches")
-    posting, side = reference.patches[level].posting_m, _template_side(frame, last, k)
+    posting, side = reference.patches[level].posting_m, _find_template_side(frame, last, k)
     blur = blur_nodes(posting, float(frame.points.finest_postings_m(np.array([index]))[0]))
-    aside_nodes = acceptance.acceptance_limits().light.nodes
+    aside_nodes = acceptance.load_acceptance_limits().light.nodes
     margin, room = (int(np.ceil(n * choose_thinning(blur))) for n in (MARGIN_NODES, aside_nodes))
     heights = reference.heights(level, side + 2 * (margin + room))
     turn = pose.turn
@@ -315,37 +315,37 @@ def _light(frame: FrameContext, last: _Pass, k: int) -> acceptance.PointLight:
         template, other, window = (
             downsample_blurred(g, blur, even) for g in (template, other, window)
         )
-    return acceptance.point_light(template, other, window, MARGIN_NODES)
+    return acceptance.measure_light(template, other, window, MARGIN_NODES)
 
 
-def _template_side(frame: FrameContext, last: _Pass, k: int) -> int:
-    """Side of the template that a point was matched with, nodes, at the solved pose."""
+def _find_template_side(frame: FrameContext, last: _Pass, k: int) -> int:
+    """Find the side of the template that a point was matched with, nodes, at the solved pose."""
     index = int(last.view.index[k])
     offset = frame.points.xyz_m[index] - last.solution.pose.position_m
     sample = float(np.linalg.norm(offset)) / frame.camera.coarse_focal_px
     posting = float(frame.points.postings_m(index)[last.matches[k].level])
     known = float(frame.points.finest_postings_m(np.array([index]))[0])
-    return frame.template_nodes(posting, sample, known)
+    return frame.choose_template_nodes(posting, sample, known)
 
 
-def _evidence(
+def _make_evidence(
     frame: FrameContext,
     prior: PositionPrior,
     view: ExpectedPoints,
     matches: list[PointMatch],
     solution: Resection | None,
 ) -> Evidence:
-    """The points tried, with what the solution made of them; None: there is no solution."""
+    """Make the evidence of the points tried; solution None: there is none."""
     turn = frame.observation.camera_from_body.as_matrix()
     places = frame.points.xyz_m[view.index]
     from_prior = frame.camera.project_from_body(places, prior.position_m, turn)
-    place = {k: i for i, k in enumerate(accepted(matches))}
+    row_of = {k: i for i, k in enumerate(list_accepted(matches))}
     rows = []
     for k, match in enumerate(matches):
         used, residual, reason = False, None, match.reason
-        if solution is not None and k in place:
-            used = bool(solution.used[place[k]])
-            residual = solution.residuals_px[place[k]]
+        if solution is not None and k in row_of:
+            used = bool(solution.used[row_of[k]])
+            residual = solution.residuals_px[row_of[k]]
             reason = NO_REASON if used else OUTLIER
         predicted = view.pixels[k]
         if match.pixel is not None and residual is not None:
@@ -373,4 +373,4 @@ def _evidence(
         )
     residuals = [row.residual_px for row in rows if row.used and row.residual_px is not None]
     rms = float(np.sqrt(np.mean(np.square(residuals)))) if residuals else None
-    return Evidence(len(matches), len(place), len(residuals), rms, matches=tuple(rows))
+    return Evidence(len(matches), len(row_of), len(residuals), rms, matches=tuple(rows))

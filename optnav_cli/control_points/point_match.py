@@ -35,20 +35,19 @@ from catalog.correlation.similarity import (
 )
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
-from optnav_cli.control_points.picture_pyramid import PicturePyramid, as_seen, blur_px
+from optnav_cli.control_points.picture_pyramid import (
+    PicturePyramid,
+    average_as_seen,
+    get_blur_px,
+    is_ground_shown,
+)
 from optnav_cli.control_points.reference import Reference
 from optnav_cli.control_points.search_plan import NO_DISTORTION, SearchPlan
-from optnav_cli.control_points.smoothness import shows_ground
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, format_distinct
 
 # A reference lit or known over less than this share of its nodes is no picture of a place.
 MIN_VALID_SHARE = 0.6
-MIN_LIT_SHARE = 0.1
-# Of a template that the frame may cut, this share must be in it.
-MIN_CUT_SHARE = 0.25
-# A match behind a blur has so much room to every side, nodes of those that are kept.
-MIN_ROOM = 3
 # Nodes of a reference without blur that count as one sample against chance.
 CHANCE_NODES_PER_SAMPLE = 6.0
 # Rendered beyond the template on every side, so that the high-pass does not end at its border.
@@ -57,9 +56,6 @@ MARGIN_NODES = 8
 # How strong albedo that follows relief is was measured at nodes of 948 m; of much finer relief
 # nothing is known. A catalog's finest patches may have half the posting of its terrain model.
 MIN_ALBEDO_POSTING_M, MIN_FINEST_ALBEDO_POSTING_M = 400.0, 200.0
-
-SMOOTH = Reason(ReasonCode.LOW_SCORE, "smooth brightness or rounding alone, no ground")
-OUTSIDE = Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame")
 
 
 @dataclass(frozen=True)
@@ -134,8 +130,8 @@ class PointMatch:
     albedo: AlbedoFit | None = None
     under_albedo: bool = False
 
-    def apply_albedo(self, strengths: ReliefAlbedo) -> "PointMatch":
-        """The match with albedo that follows relief so strongly, where that may be."""
+    def with_albedo(self, strengths: ReliefAlbedo) -> "PointMatch":
+        """Return the match with albedo that follows relief so strongly, where allowed."""
         if self.albedo is None or self.albedo.laid is None:
             return self
         at = self.albedo.laid.apply_albedo(strengths)
@@ -157,13 +153,13 @@ def match_point(
     sun_body (3,) unit vector, body frame
     """
     level, blur_nodes, step = plan.level, plan.blur_nodes, choose_thinning(plan.blur_nodes)
-    margin, search_nodes = _borders(plan)
+    margin, search_nodes = _compute_borders(plan)
     posting = reference.patches[level].posting_m
     border = search_nodes + margin
     heights = reference.heights(level, plan.template_nodes + 2 * border)
     around = crop(heights, search_nodes)
     sharp = reference.render(level, around, sun_body, pose.position_m)
-    refusal = _rejection_of_template(crop(sharp, margin) if blur_nodes else sharp)
+    refusal = _check_template(crop(sharp, margin) if blur_nodes else sharp)
     if refusal:
         return PointMatch(level, refusal)
     surface = reference.surface(level, heights)
@@ -172,20 +168,23 @@ def match_point(
     window = shown = sampled = picture.sample(pixels, posting / plan.metres_per_pixel)
     if plan.soft_nodes:
         window = filter_low_pass(window, plan.soft_nodes)
-    known, _ = _shares(sampled, border)
-    if known < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
-        return PointMatch(level, OUTSIDE)
-    lens_px = blur_px(camera)
-    template = as_seen(sharp, pixels, lens_px)
+    known, _ = _measure_shares(sampled, border)
+    # A quarter of a template that the frame may cut must be in it.
+    if known < (0.25 if blur_nodes else MIN_VALID_SHARE):
+        return PointMatch(level, Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame"))
+    lens_px = get_blur_px(camera)
+    template = average_as_seen(sharp, pixels, lens_px)
     even = plan.template_nodes % 2 == 0
     if blur_nodes:
         template = downsample_blurred(template, blur_nodes, even)
         window = shown = downsample_blurred(window, blur_nodes, even)
     rendered = template
-    template, match = _found(template, window, plan, matcher)
+    template, match = _match_template(template, window, plan, matcher)
     samples, at_nodes = 0.0, match
     if blur_nodes:
-        samples = _common_nodes(template, window, match) / nodes_a_sample(blur_nodes / step)
+        samples = _count_common_nodes(template, window, match) / count_nodes_per_sample(
+            blur_nodes / step
+        )
         # A template behind a blur of s nodes has few independent samples, too few for a spectrum of
         # what it leaves over. White noise under the blur is correlated over 2 pi s^2 nodes.
         each = 1.0 + 2.0 * np.pi * (blur_nodes / step) ** 2 / NODES_PER_SAMPLE
@@ -193,8 +192,8 @@ def match_point(
         match = match._replace(dx=match.dx * step, dy=match.dy * step, covariance=spread)
     expected = camera.project_from_body(reference.place_m, pose.position_m, camera_from_body)
 
-    def placed(at: Match) -> PointMatch:
-        shift, jacobian = _displacement(pixels, at, plan.template_nodes)
+    def make_match(at: Match) -> PointMatch:
+        shift, jacobian = _measure_displacement(pixels, at, plan.template_nodes)
         part = None
         if blur_nodes:
             shown = np.isfinite(crop(sampled, border))
@@ -205,34 +204,37 @@ def match_point(
         covariance = None
         if np.isfinite(at.covariance).all():
             covariance = jacobian @ at.covariance @ jacobian.T
-        reason = _rejection_of_match(at, gates, samples)
+        reason = _check_match(at, gates, samples)
         offset = np.array([at.dx, -at.dy]) * posting
         scores = at.score, at.runner_up
         return PointMatch(level, reason, expected + shift, covariance, offset, *scores, part)
 
-    found = placed(match)
-    if gates.refuse_smooth and not found.reason:
+    point_match = make_match(match)
+    if gates.refuse_smooth and not point_match.reason:
         grid = thin_pixels(pixels, blur_nodes, even)
-        found = _refuse_smooth(found, rendered, at_nodes, shown, grid, picture.count_step)
+        point_match = _refuse_smooth(
+            point_match, rendered, at_nodes, shown, grid, picture.count_step
+        )
     least = MIN_ALBEDO_POSTING_M if level else MIN_FINEST_ALBEDO_POSTING_M
     coarse = posting >= least and not (blur_nodes or plan.interim or plan.soft_nodes)
-    if found.reason or not coarse or template is not rendered:
-        return found
+    if point_match.reason or not coarse or template is not rendered:
+        return point_match
 
-    def lay() -> ReliefMatch | None:
+    def fit_patterns() -> ReliefMatch | None:
         patterns = make_relief_patterns(around, posting, sharp)
-        seen = np.stack([as_seen(each, pixels, lens_px) for each in patterns])
+        seen = np.stack([average_as_seen(each, pixels, lens_px) for each in patterns])
         return make_relief_match(match, template, seen, window, MARGIN_NODES)
 
-    return replace(found, albedo=AlbedoFit(lay, placed))
+    return replace(point_match, albedo=AlbedoFit(fit_patterns, make_match))
 
 
-def _borders(plan: SearchPlan) -> tuple[int, int]:
-    """Compute the margin of a template and the room of its search, nodes before the ."""
+def _compute_borders(plan: SearchPlan) -> tuple[int, int]:
+    """Compute the margin of a template and the room of its search, nodes before the thinning."""
     if not plan.blur_nodes:
         return MARGIN_NODES, plan.search_nodes
     step = choose_thinning(plan.blur_nodes)
-    room = max(plan.search_nodes, int(np.ceil(MIN_ROOM * step)))
+    # A match behind a blur has room for three of the nodes that are kept on each side.
+    room = max(plan.search_nodes, int(np.ceil(3 * step)))
     return int(np.ceil(MARGIN_NODES * step)), room
 
 
@@ -258,23 +260,25 @@ def _refuse_smooth(
     shown (m, m), pixels (m, m, 2)  of the picture on these nodes, and where they lie in it
     """
     laid = cut_match(shown, template, match), cut_match(pixels, template, match)
-    if shows_ground(*laid, MARGIN_NODES, count_step):
+    if is_ground_shown(*laid, MARGIN_NODES, count_step):
         return found
-    return replace(found, reason=SMOOTH)
+    return replace(
+        found, reason=Reason(ReasonCode.LOW_SCORE, "smooth brightness or rounding alone, no ground")
+    )
 
 
-def nodes_a_sample(blur_nodes: float) -> float:
-    """Nodes that count as one sample against chance.
+def count_nodes_per_sample(blur_nodes: float) -> float:
+    """Count the nodes per sample against chance.
 
     White noise under a Gaussian of sigma s is correlated over an area of 2 pi s^2 nodes.
     """
     return CHANCE_NODES_PER_SAMPLE + 2.0 * np.pi * blur_nodes**2
 
 
-def _found(
+def _match_template(
     template: Float32Array, window: Float32Array, plan: SearchPlan, matcher: Matcher
 ) -> tuple[Float32Array, Match]:
-    """A template, turned as it fits best, and where it is in a window."""
+    """Match a template in a window; return it turned as it fits best, and the match."""
     turns = plan.distortion.rolls, plan.distortion.scales
     remainder = not (plan.blur_nodes or plan.interim)
     if matcher is match_ncc:
@@ -293,8 +297,8 @@ def _found(
     return template, match
 
 
-def _common_nodes(template: Float32Array, window: Float32Array, match: Match) -> int:
-    """Nodes of a template without its margin that the window has too, where it was found."""
+def _count_common_nodes(template: Float32Array, window: Float32Array, match: Match) -> int:
+    """Count the nodes of a template without its margin that the window has where it matches."""
     inner = crop(template, MARGIN_NODES)
     border = (window.shape[0] - inner.shape[0]) // 2
     row, col = border + int(np.rint(match.dy)), border + int(np.rint(match.dx))
@@ -302,18 +306,18 @@ def _common_nodes(template: Float32Array, window: Float32Array, match: Match) ->
     return int((np.isfinite(inner) & np.isfinite(seen)).sum())
 
 
-def _rejection_of_template(template: Float32Array) -> Reason:
-    known, lit = _shares(template, 0)
+def _check_template(template: Float32Array) -> Reason:
+    known, lit = _measure_shares(template, 0)
     if known < MIN_VALID_SHARE:
         return Reason(ReasonCode.NO_TERRAIN, "no terrain data")
-    if lit < MIN_LIT_SHARE * known:
+    if lit < 0.1 * known:
         return Reason(ReasonCode.IN_SHADOW, "in shadow")
     return NO_REASON
 
 
 @kernel
-def _shares(grid: Float32Array, margin: int) -> tuple[float, float]:
-    """Shares of a grid's nodes inside a margin that are finite, and that are above zero."""
+def _measure_shares(grid: Float32Array, margin: int) -> tuple[float, float]:
+    """Measure the shares of a grid's nodes inside a margin that are finite and above zero."""
     rows, cols = grid.shape
     known = lit = 0
     for r in range(margin, rows - margin):
@@ -324,7 +328,7 @@ def _shares(grid: Float32Array, margin: int) -> tuple[float, float]:
     return known / nodes, lit / nodes
 
 
-def _rejection_of_match(match: Match, gates: MatchGates, samples: float) -> Reason:
+def _check_match(match: Match, gates: MatchGates, samples: float) -> Reason:
     score = match.score
     if not np.isfinite(match.covariance).all():
         return Reason(ReasonCode.SEARCH_BORDER, "peak at the border of the search")
@@ -341,10 +345,10 @@ def _rejection_of_match(match: Match, gates: MatchGates, samples: float) -> Reas
     return NO_REASON
 
 
-def _displacement(
+def _measure_displacement(
     pixels: FloatArray, match: Match, template_nodes: int
 ) -> tuple[FloatArray, FloatArray]:
-    """How far (2,) px the match lies from the expected place, and the derivative (2, 2) by nodes.
+    """Measure the match's offset (2,), px, from the expected pixel, and its derivative (2, 2).
 
     pixels (size, size, 2) of the window's nodes. A match is the agreement of a whole template, so
     its displacement is that of the template's mean place: the height of the one node in the middle
@@ -358,15 +362,15 @@ def _displacement(
     # upper left corners: four blocks about the match, and the expected one with its neighbours
     top = np.array([r, r, r + 1, r + 1, border, border, border, border - 1, border + 1])
     left = np.array([c, c + 1, c, c + 1, border, border - 1, border + 1, border, border])
-    mean = _block_means(np.ascontiguousarray(pixels), top, left, template_nodes)
+    mean = _average_blocks(np.ascontiguousarray(pixels), top, left, template_nodes)
     weights = np.array([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u])
     slopes = np.stack([mean[6] - mean[5], mean[8] - mean[7]], axis=-1) / 2.0
     return weights @ mean[:4] - mean[4], slopes
 
 
 @kernel
-def _block_means(pixels: FloatArray, top: IntArray, left: IntArray, side: int) -> FloatArray:
-    """Mean pixels (k, 2) of square blocks of a window (n, n, 2); what is NaN takes no part."""
+def _average_blocks(pixels: FloatArray, top: IntArray, left: IntArray, side: int) -> FloatArray:
+    """Average pixels (k, 2) over square blocks of a window (n, n, 2) without NaN."""
     size = pixels.shape[0]
     # sums along a row from its begin on, of which a block's is a difference
     along, sums = np.zeros((size + 1, 3)), np.zeros((top.size, 3))

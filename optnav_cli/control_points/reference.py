@@ -1,4 +1,4 @@
-"""What a control point should look like: its patches cut to a window and rendered."""
+"""Expected appearance of a control point: its patches cut to a window and rendered."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -46,19 +46,19 @@ class Reference:
         return self.point.xyz_m
 
     def heights(self, level: int, size: int) -> Float32Array:
-        """A centred window of `size` nodes at a level's posting, coarser levels where it is wider.
+        """Cut a centred window of `size` nodes at a level's posting; coarser levels fill the rim.
 
         NaN where no level has data.
         """
-        posting, own = self.patches[level].posting_m, self.patches[level].heights_m
+        posting, patch_heights = self.patches[level].posting_m, self.patches[level].heights_m
         window = np.full((size, size), np.nan, dtype=np.float32)
-        margin = (own.shape[0] - size) // 2
-        if (own.shape[0] - size) % 2 == 0 and margin >= 0:
-            window[:] = own[margin : margin + size, margin : margin + size]
-        elif (own.shape[0] - size) % 2 == 0:
-            window[-margin : size + margin, -margin : size + margin] = own
+        margin = (patch_heights.shape[0] - size) // 2
+        if (patch_heights.shape[0] - size) % 2 == 0 and margin >= 0:
+            window[:] = patch_heights[margin : margin + size, margin : margin + size]
+        elif (patch_heights.shape[0] - size) % 2 == 0:
+            window[-margin : size + margin, -margin : size + margin] = patch_heights
         else:
-            _fill_from(window, posting, own, posting)
+            _fill_from(window, posting, patch_heights, posting)
         for patch in self.patches[level + 1 :]:
             if not np.isnan(window).any():
                 break
@@ -66,7 +66,7 @@ class Reference:
         return window
 
     def surface(self, level: int, heights: Float32Array) -> FloatArray:
-        """Body-fixed points (size, size, 3), m, of the nodes of a window's heights (size, size).
+        """Return body-fixed points (size, size, 3), m, of a window's heights (size, size).
 
         Of a small body the ground goes on beyond the coarsest patch, which is hardly wider than
         what is looked for, as high above the ellipsoid as the patch's border is; above the plane
@@ -75,7 +75,7 @@ class Reference:
         projection, posting = self.projection, self.patches[level].posting_m
         if isinstance(projection, TangentPlane) and self.planes_on_m is not None:
             figure = self.planes_on_m if self.point.vertical_deg is None else None
-            heights = _carried_on(heights, projection, posting, figure)
+            heights = _extend_border(heights, projection, posting, figure)
         return projection.nodes(heights, posting)
 
     def render(
@@ -85,7 +85,7 @@ class Reference:
         sun_body: FloatArray,
         camera_position_m: FloatArray,
     ) -> Float32Array:
-        """Brightness of a window's heights (size, size) by Hapke's law, 0 in cast shadow.
+        """Render a window's heights (size, size) by Hapke's law, 0 in cast shadow.
 
         Zhukov (2025) takes Lommel-Seeliger, whose correlation with Hapke is 0.98 at oblique views
         (study photometry). Even lunar-Lambert, at 0.998, moves what is found by some 10 m at 948 m
@@ -102,16 +102,16 @@ class Reference:
             sun_local,
             (camera_position_m - np.array(self.projection.foot_m)) @ body_from_local,
             radius_m=self.projection.radius_m,
-            outer=self._shadows(level, sun_local),
+            outer=self._cast_shadows(level, sun_local),
         )
 
-    def _shadows(self, level: int, sun_local: FloatArray) -> ShadowField:
-        """What the coarser levels throw onto a level; kept for other levels under this Sun."""
+    def _cast_shadows(self, level: int, sun_local: FloatArray) -> ShadowField:
+        """Compute shadows of coarser levels on a level; kept for other levels under this Sun."""
         key = level, sun_local.tobytes()
         if key not in self._kept_shadows:
             beyond, grids = None, []
             if level + 1 < len(self.patches):
-                beyond, next_one = self._shadows(level + 1, sun_local), self.patches[level + 1]
+                beyond, next_one = self._cast_shadows(level + 1, sun_local), self.patches[level + 1]
                 grids = [(next_one.heights_m, next_one.posting_m)]
             else:
                 self._kept_shadows.clear()  # those under another Sun
@@ -172,13 +172,13 @@ def _fill_line(
                 line[k] += weights[k, j] * heights[c - 1 + j]
 
 
-def _carried_on(
+def _extend_border(
     heights: Float32Array,
     plane: TangentPlane,
     posting_m: float,
     radii_m: tuple[float, ...] | None,
 ) -> Float32Array:
-    """Heights (n, n) with those of the known square's border, over the ellipsoid, beyond it.
+    """Extend the border heights of the known square, over the ellipsoid, to the grid (n, n).
 
     radii_m  semi-axes of the ellipsoid; None: over the plane
     """

@@ -25,7 +25,7 @@ class ViewSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class MatchSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """How control points are searched and when a match is accepted."""
+    """Settings of the search of control points and of the acceptance of matches."""
 
     template_nodes: Annotated[int, msgspec.Meta(ge=16, le=256)] = 80
     # finest level used: its posting over the pixel on the ground
@@ -37,7 +37,7 @@ class MatchSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class SolveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """How matches become a position."""
+    """Settings of the solution of a position from matches."""
 
     max_passes: Annotated[int, msgspec.Meta(ge=1, le=20)] = 6
     gate_probability: Share = 0.9999
@@ -49,7 +49,7 @@ class SolveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class PickedSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """How picked points become a position."""
+    """Settings of positions from picked points."""
 
     construction: Construction = "least_squares"
 
@@ -66,7 +66,7 @@ class StarsSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """The whole navigation config."""
+    """The navigation config."""
 
     view: ViewSettings = ViewSettings()
     match: MatchSettings = MatchSettings()
@@ -76,12 +76,12 @@ class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     spice: SpiceSettings = SpiceSettings()
 
     def attitude_sigma_rad(self, stated: float | None) -> float:
-        """1 sigma an axis of an attitude: the stated one, or that of a free one's first guess."""
+        """Return 1 sigma per axis of an attitude: the stated one, or a free one's first guess."""
         return radians(self.solve.free_attitude_deg) if stated is None else stated
 
 
 def load_settings(path: Path) -> NavigateSettings:
-    """The navigation config of a file, its kernels found beside it.
+    """Load the navigation config of a file; its kernels lie beside it.
 
     Raises ConfigError for a wrong file and for a shared kernel that is not there.
     """
@@ -89,8 +89,8 @@ def load_settings(path: Path) -> NavigateSettings:
     kernels = tuple(str(resolve_path(name, path.parent)) for name in settings.spice.kernels)
     stars = settings.stars
     if stars.catalogue is not None:
-        found = str(resolve_path(stars.catalogue, path.parent))
-        stars = msgspec.structs.replace(stars, catalogue=found)
+        catalogue = str(resolve_path(stars.catalogue, path.parent))
+        stars = msgspec.structs.replace(stars, catalogue=catalogue)
     elif stars.epoch is not None:
         raise ConfigError(f"{path}: [stars] epoch is that of `catalogue`, which is not set")
     return msgspec.structs.replace(settings, spice=SpiceSettings(kernels), stars=stars)

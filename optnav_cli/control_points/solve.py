@@ -19,7 +19,7 @@ from optnav_cli.control_points.expectation import (
 from optnav_cli.control_points.point_match import MatchGates, PointMatch, match_point
 from optnav_cli.control_points.search_plan import (
     SearchPlan,
-    ground_uncertainty_m,
+    compute_ground_uncertainty_m,
     plan_distortion,
     search_room,
 )
@@ -27,8 +27,6 @@ from optnav_cli.estimation.models.points import Pose, ProjectingCamera, Sighting
 from optnav_cli.estimation.resection import Resection, resect_robustly
 from optnav_cli.reasons import Reason, ReasonCode
 
-# Rolls and scales are tried this far; beyond it the search in place would miss the point too.
-DISTORTION_SIGMAS = 2.0
 # A place at the finest level that scores less is compared with those at the next two.
 CERTAIN_SCORE, COARSER_LEVELS = 0.85, 2
 # Albedo that follows relief is fitted in frames where, in the median of their points, it explains
@@ -38,36 +36,33 @@ CERTAIN_SCORE, COARSER_LEVELS = 0.85, 2
 # and then the place moves by sigmas. Maria score up to 0.75; over more, shading has most of the
 # contrast.
 MIN_ALBEDO_SHARE, MAX_ALBEDO_SCORE = 0.0065, 0.8
-# Behind a blur: score times the root of the samples that were compared.
-MIN_STRENGTH = 3.0
-# Chance scores go as one over the side of a template (`acceptance.ChanceLaw`): with so many nodes
-# one search of unrelated ground in a hundred reaches a least score of 0.3.
-SCORED_NODES = 67.0
 DAMAGED = Reason(ReasonCode.DAMAGED_PATCH, "patch damaged in the catalog")
 # So many points lead from one pass to the next where so many of them are found and all agree.
 FEW, AGREEING = 12, 8
 
 
-def least_score(min_score: float, template_nodes: int, coarser: bool = False) -> float:
-    """The score that a template must have: `min_score`, where it is wider as much less.
+def compute_min_score(min_score: float, template_nodes: int, coarser: bool = False) -> float:
+    """Compute the score that a template must have: `min_score`, less for a wider one.
 
     template_nodes  to a side
     coarser  it stands in for one at a finer level: `min_score`, where it is narrower as much more.
              One that the frame keeps small scores 0.4 anywhere, and where it is wrong its expected
              error says nothing
     """
-    share = SCORED_NODES / template_nodes
+    # Chance scores go as one over a template's side (`acceptance.ChanceLaw`): with 67 nodes one
+    # search of unrelated ground in a hundred reaches a score of 0.3.
+    share = 67.0 / template_nodes
     return min_score * (max(share, 1.0) if coarser else min(share, 1.0))
 
 
-def accepted(matches: list[PointMatch]) -> list[int]:
-    """Which of some matches the pose is solved from."""
+def list_accepted(matches: list[PointMatch]) -> list[int]:
+    """List which matches the pose is solved from."""
     return [k for k, match in enumerate(matches) if not match.reason]
 
 
 @dataclass(frozen=True, eq=False)
 class PointSearch:
-    """What the points of a view are searched with from one pose.
+    """Search of a view's points from one pose.
 
     uncertainty_m  (n,) of their places on the ground;  known_m (n,) postings of their models
     """
@@ -83,7 +78,7 @@ class PointSearch:
 
     @property
     def searched_postings(self) -> float:
-        """How far the points are searched, postings of the terrain model (median)."""
+        """Median search radius of the points, postings of the terrain model."""
         sigmas = self.frame.settings.match.search_sigmas
         return sigmas * float(np.median(self.uncertainty_m / self.known_m))
 
@@ -94,7 +89,7 @@ class PointSearch:
         return any(self.room(k, level)[0] > level for k, level in enumerate(finest))
 
     def room(self, k: int, finest: int) -> tuple[int, int]:
-        """Level at which a point is searched, of those from `finest` on, and how many nodes far."""
+        """Return the level, from `finest` on, to search a point at, and the nodes of room."""
         limits, postings = self.frame.settings.match, self._postings_m(k)
         spread = float(self.uncertainty_m[k])
         return search_room(postings, finest, spread, limits.search_sigmas, limits.max_search_nodes)
@@ -103,39 +98,44 @@ class PointSearch:
         return self.frame.points.postings_m(int(self.view.index[k]))
 
     def finest(self, k: int) -> int:
-        """The finest level of a point that the picture resolves."""
-        return self.frame.finest_level(self._postings_m(k), float(self.view.metres_per_pixel[k]))
+        """Return the finest level of a point that the picture resolves."""
+        return self.frame.find_finest_level(
+            self._postings_m(k), float(self.view.metres_per_pixel[k])
+        )
 
     def match(self, k: int, finest: int, coarser: bool = False) -> PointMatch:
-        """A point at the finest level, of those from `finest` on, that the pose allows.
+        """Match a point at the finest level, from `finest` on, that the pose allows.
 
-        coarser  as for `least_score`
+        coarser  as for `compute_min_score`
         """
         key = k, finest, coarser
         if key not in self._made:
-            self._made[key] = self._matched(*key)
+            self._made[key] = self._match_levels(*key)
         return self._made[key]
 
-    def _matched(self, k: int, finest: int, coarser: bool) -> PointMatch:
+    def _match_levels(self, k: int, finest: int, coarser: bool) -> PointMatch:
         level, room = self.room(k, finest)
         plan = self._plan(k, level, room, level > finest)
         least = self.frame.settings.match.min_score
         if not plan.blur_nodes:  # behind one a template has few samples, whatever its side
-            least = least_score(least, plan.template_nodes, coarser)
+            least = compute_min_score(least, plan.template_nodes, coarser)
         ratio = self.frame.settings.match.rival_ratio
-        return self._searched(k, plan, MatchGates(least, ratio, MIN_STRENGTH, refuse_smooth=True))
+        # behind a blur the score times the root of the samples compared must reach 3
+        return self._search(k, plan, MatchGates(least, ratio, 3.0, refuse_smooth=True))
 
     def _plan(self, k: int, level: int, room: int, interim: bool) -> SearchPlan:
         sample, known = float(self.view.metres_per_pixel[k]), float(self.known_m[k])
         posting = float(self._postings_m(k)[level])
-        template = self.frame.template_nodes(posting, sample, known)
-        place = self.frame.points.xyz_m[int(self.view.index[k])]
-        scale_sigma = self.height_sigma_m / float(np.linalg.norm(place - self.pose.position_m))
-        distortion = plan_distortion(template, self.roll_sigma, scale_sigma, DISTORTION_SIGMAS)
+        template = self.frame.choose_template_nodes(posting, sample, known)
+        point_m = self.frame.points.xyz_m[int(self.view.index[k])]
+        scale_sigma = self.height_sigma_m / float(np.linalg.norm(point_m - self.pose.position_m))
+        # Rolls and scales are tried to 2 sigmas; beyond it the search in place would miss the point
+        # too.
+        distortion = plan_distortion(template, self.roll_sigma, scale_sigma, 2.0)
         blur = blur_nodes(posting, known)
         return SearchPlan(level, template, room, sample, distortion, blur, interim)
 
-    def _searched(self, k: int, plan: SearchPlan, gates: MatchGates) -> PointMatch:
+    def _search(self, k: int, plan: SearchPlan, gates: MatchGates) -> PointMatch:
         frame, reference = self.frame, self.frame.points.reference(int(self.view.index[k]))
         if reference is None:
             return PointMatch(0, DAMAGED)
@@ -150,7 +150,7 @@ class PointSearch:
             gates,
         )
 
-    def stands_alone(self, k: int, match: PointMatch, room: int) -> bool:
+    def is_unambiguous(self, k: int, match: PointMatch, room: int) -> bool:
         """Whether a match is the best place, without a rival, of a search with more room.
 
         room  to every side, nodes; behind a blur of those that are kept
@@ -160,23 +160,23 @@ class PointSearch:
         if plan.blur_nodes:
             step = choose_thinning(plan.blur_nodes)
             plan, node_m = replace(plan, search_nodes=int(np.ceil(room * step))), node_m * step
-        again = self._searched(k, plan, MatchGates(0.0, self.frame.settings.match.rival_ratio))
+        again = self._search(k, plan, MatchGates(0.0, self.frame.settings.match.rival_ratio))
         if again.reason or again.pixel is None or match.pixel is None:
             return False
         moved_m = float(np.linalg.norm(again.pixel - match.pixel)) * plan.metres_per_pixel
         return moved_m <= RIVAL_DISTANCE * node_m
 
 
-def search_from(
+def plan_search(
     frame: FrameContext, view: ExpectedPoints, pose: Pose, covariance: FloatArray
 ) -> PointSearch:
-    """How the points of a view are searched from a pose.
+    """Plan the search of a view's points from a pose.
 
     covariance (6, 6) of the pose: position m, rotation rad
     """
     points = frame.points
     _, jacobian = predict(frame.camera, pose, points.xyz_m[view.index])
-    uncertainty = ground_uncertainty_m(jacobian, covariance, view.metres_per_pixel)
+    uncertainty = compute_ground_uncertainty_m(jacobian, covariance, view.metres_per_pixel)
     boresight = pose.turn[2]
     height_sigma = float(np.sqrt(boresight @ covariance[:3, :3] @ boresight))
     known = points.finest_postings_m(view.index)
@@ -184,8 +184,8 @@ def search_from(
     return PointSearch(frame, view, pose, uncertainty, known, height_sigma, roll_sigma)
 
 
-def agreeing_few(search: PointSearch) -> tuple[ExpectedPoints, list[PointMatch], Resection] | None:
-    """Some points of a view, their matches and pose, where these are enough for the next pass.
+def match_few(search: PointSearch) -> tuple[ExpectedPoints, list[PointMatch], Resection] | None:
+    """Match some points of a view; return them with matches and pose where they suffice.
 
     Not where that pass might be the last: points at their finest levels are all searched.
     """
@@ -194,7 +194,7 @@ def agreeing_few(search: PointSearch) -> tuple[ExpectedPoints, list[PointMatch],
     few = select_evenly(search.view, FEW)
     places = np.flatnonzero(np.isin(search.view.index, few.index)).tolist()
     matches = [search.match(k, search.finest(k)) for k in places]
-    if len(accepted(matches)) < AGREEING:
+    if len(list_accepted(matches)) < AGREEING:
         return None
     try:
         solution = solve(search.frame, few, matches, search.pose)
@@ -229,14 +229,14 @@ def match_all(search: PointSearch, chosen: Mapping[int, int]) -> tuple[list[Poin
         and match.part is None
         and int(view.index[k]) not in chosen
     ]
-    albedo = _albedo_of(matches)
+    albedo = _fit_albedo(matches)
     if albedo is not None:
-        matches = [match.apply_albedo(albedo) for match in matches]
-    return _with_best_levels(search, matches, doubtful, albedo), at_finest
+        matches = [match.with_albedo(albedo) for match in matches]
+    return _choose_best_levels(search, matches, doubtful, albedo), at_finest
 
 
-def _albedo_of(matches: list[PointMatch]) -> ReliefAlbedo | None:
-    """How albedo follows relief in a frame; None where that does not show in its matches.
+def _fit_albedo(matches: list[PointMatch]) -> ReliefAlbedo | None:
+    """Fit how albedo follows relief in a frame; None where its matches do not show that.
 
     All that allow it are fitted with it, or none: points of which some are moved and others stay
     would no longer fit together.
@@ -245,21 +245,21 @@ def _albedo_of(matches: list[PointMatch]) -> ReliefAlbedo | None:
     if not fits or np.median([score for _, score in fits]) > MAX_ALBEDO_SCORE:
         return None
     laid = [fit.laid for fit, _ in fits if fit.laid is not None]
-    if not laid or np.median([one.explained for one in laid]) < MIN_ALBEDO_SHARE:
+    if not laid or np.median([fit_match.explained for fit_match in laid]) < MIN_ALBEDO_SHARE:
         return None
     return estimate_strengths(laid)
 
 
-def _with_best_levels(
+def _choose_best_levels(
     search: PointSearch, matches: list[PointMatch], doubtful: list[int], albedo: ReliefAlbedo | None
 ) -> list[PointMatch]:
-    """The matches, doubtful ones at the level that should leave the frame's place off by the least.
+    """Rematch doubtful points at the level with the smallest expected frame error.
 
     The finest level shows most of what the terrain model does not know. What coarser ones err by is
     more alike from point to point.
     albedo  that follows relief, where it is fitted
     """
-    best, errors = list(matches), _expected_errors_px2(search, matches, doubtful)
+    best, errors = list(matches), _predict_errors_px2(search, matches, doubtful)
     for step in range(1, COARSER_LEVELS + 1):
         there = []
         trial = list(matches)
@@ -267,19 +267,19 @@ def _with_best_levels(
             level = matches[k].level + step
             if level < len(search.frame.points.postings_m(int(search.view.index[k]))):
                 match = search.match(k, level, coarser=True)
-                trial[k] = match if albedo is None else match.apply_albedo(albedo)
+                trial[k] = match if albedo is None else match.with_albedo(albedo)
                 if trial[k].level == level:
                     there.append(k)
-        for k, error in _expected_errors_px2(search, trial, there).items():
+        for k, error in _predict_errors_px2(search, trial, there).items():
             if error < errors.get(k, np.inf):
                 best[k], errors[k] = trial[k], error
     return best
 
 
-def _expected_errors_px2(
+def _predict_errors_px2(
     search: PointSearch, matches: list[PointMatch], some: list[int]
 ) -> dict[int, float]:
-    """What the error of those of some matches that are accepted does to the frame's, square, px^2.
+    """Predict the contribution of each accepted match to the frame's squared error, px^2.
 
     Of a point's own error the other points leave one part in as many as they are; what is common to
     all of them stays.
@@ -288,16 +288,16 @@ def _expected_errors_px2(
     if not kept:
         return {}
     places = frame.points.xyz_m[search.view.index[kept]]
-    points = _matched_points(frame, search.view, matches, kept, places, search.pose)
-    own = error_model.own_covariances_px2(points)
-    own += np.array([matches[k].covariance_px2 for k in kept])
-    common = error_model.common_errors_px(points, frame.sun_body)
-    squares = np.trace(own, axis1=1, axis2=2) / len(accepted(matches))
+    points = _collect_matched_points(frame, search.view, matches, kept, places, search.pose)
+    covariances = error_model.compute_point_covariances_px2(points)
+    covariances += np.array([matches[k].covariance_px2 for k in kept])
+    common = error_model.compute_common_errors_px(points, frame.sun_body)
+    squares = np.trace(covariances, axis1=1, axis2=2) / len(list_accepted(matches))
     squares += (common**2).sum(axis=(1, 2))
     return dict(zip(kept, squares.tolist(), strict=True))
 
 
-def _matched_points(
+def _collect_matched_points(
     frame: FrameContext,
     view: ExpectedPoints,
     matches: list[PointMatch],
@@ -305,7 +305,7 @@ def _matched_points(
     places_m: FloatArray,
     pose: Pose,
 ) -> error_model.MatchedPoints:
-    """Those kept of a view's matches, seen at places (n, 3) from a pose, as their errors go."""
+    """Collect the kept matches of a view, seen at points (n, 3) from a pose, with their errors."""
     points, index = frame.points, view.index[kept]
     levels, resolved = np.empty(len(kept)), np.empty(len(kept))
     sizes = np.empty(len(kept))
@@ -313,8 +313,10 @@ def _matched_points(
     for i, k in enumerate(kept):
         postings, sample = points.postings_m(int(index[i])), float(view.metres_per_pixel[k])
         levels[i] = postings[matches[k].level]
-        resolved[i] = postings[frame.finest_level(postings, sample)]
-        sizes[i] = levels[i] * frame.template_nodes(float(levels[i]), sample, float(finest[i]))
+        resolved[i] = postings[frame.find_finest_level(postings, sample)]
+        sizes[i] = levels[i] * frame.choose_template_nodes(
+            float(levels[i]), sample, float(finest[i])
+        )
     _, jacobian = predict(frame.camera, pose, places_m)
     return error_model.MatchedPoints(
         places_m,
@@ -326,7 +328,7 @@ def _matched_points(
         np.where(levels < finest, finest, 0.0),
         np.maximum(levels - resolved, 0.0),
         sizes,
-        points.terrain_sigmas_m(index, sizes),
+        points.compute_terrain_sigmas_m(index, sizes),
         points.terrain_errors(index),
         levels * [matches[k].under_albedo for k in kept],
     )
@@ -345,25 +347,25 @@ class MatchedFrame:
     correlation: FloatArray | None
     sun_body: FloatArray
 
-    def weighed(self, sizes: error_model.PointErrorSizes) -> tuple[Sightings, FloatArray | None]:
-        """The sightings with errors of these sizes, and those common to all (n, 2, k), px."""
+    def weigh(self, sizes: error_model.PointErrorSizes) -> tuple[Sightings, FloatArray | None]:
+        """Weigh the sightings by errors of these sizes; return also common errors (n, 2, k), px."""
         if self.errors is None:
             return self.sightings, None
         seen, errors, sun = self.sightings, self.errors, self.sun_body
-        own = error_model.own_covariances_px2(errors, sizes)
+        point_covariances = error_model.compute_point_covariances_px2(errors, sizes)
         seen = replace(
             seen,
-            pixels=seen.pixels - error_model.bias_px(errors, sun, sizes),
-            covariances_px2=seen.covariances_px2 + own,
+            pixels=seen.pixels - error_model.compute_bias_px(errors, sun, sizes),
+            covariances_px2=seen.covariances_px2 + point_covariances,
         )
-        return seen, error_model.common_errors_px(errors, sun, sizes)
+        return seen, error_model.compute_common_errors_px(errors, sun, sizes)
 
 
-def matched_frame(
+def make_matched_frame(
     frame: FrameContext, view: ExpectedPoints, matches: list[PointMatch], pose: Pose
 ) -> MatchedFrame:
-    """The accepted matches of a view, their errors as seen from a pose."""
-    kept = accepted(matches)
+    """Collect the accepted matches of a view with their errors as seen from a pose."""
+    kept = list_accepted(matches)
     places = frame.points.xyz_m[view.index[kept]]
     pixels = np.array([matches[k].pixel for k in kept]).reshape(-1, 2)
     parts = {i: part for i, k in enumerate(kept) if (part := matches[k].part) is not None}
@@ -375,12 +377,12 @@ def matched_frame(
     )
     if not kept:
         return MatchedFrame(sightings, None, None, frame.sun_body)
-    errors = _matched_points(frame, view, matches, kept, places, pose)
-    correlation = error_model.ground_correlation(places, errors.sizes_m)
+    errors = _collect_matched_points(frame, view, matches, kept, places, pose)
+    correlation = error_model.correlate_ground(places, errors.sizes_m)
     if parts:
         size_px = frame.camera.width_px, frame.camera.height_px
-        correlation[np.ix_(list(parts), list(parts))] = error_model.overlap_correlation(
-            error_model.footprints(list(parts.values()), size_px)
+        correlation[np.ix_(list(parts), list(parts))] = error_model.correlate_overlaps(
+            error_model.draw_footprints(list(parts.values()), size_px)
         )
     return MatchedFrame(sightings, errors, correlation, frame.sun_body)
 
@@ -393,11 +395,11 @@ def solve(
     free = observation.attitude_sigma_rad is None
     return resect_matches(
         frame.camera,
-        matched_frame(frame, view, matches, pose),
+        make_matched_frame(frame, view, matches, pose),
         pose if free else Pose(pose.position_m, observation.camera_from_body),
         observation.attitude_sigma_rad,
         frame.settings.solve.gate_probability,
-        error_model.shipped_sizes(),
+        error_model.load_error_sizes(),
     )
 
 
@@ -410,7 +412,7 @@ def resect_matches(
     sizes: error_model.PointErrorSizes,
 ) -> Resection:
     """Resect from matches with errors of these sizes. Raises NoSolutionError."""
-    sightings, common = matched.weighed(sizes)
+    sightings, common = matched.weigh(sizes)
     return resect_robustly(
         camera,
         sightings,
@@ -418,6 +420,6 @@ def resect_matches(
         attitude_sigma_rad,
         common_errors_px=common,
         error_correlation=matched.correlation,
-        common_shares=error_model.scatter_shares(matched.errors, sizes),
+        common_shares=error_model.compute_scatter_shares(matched.errors, sizes),
         gate_probability=gate_probability,
     )

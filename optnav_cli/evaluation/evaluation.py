@@ -13,16 +13,15 @@ from optnav_cli.evaluation.figures import (
     Figures,
     FrameError,
     MethodFigures,
-    figures_by_method,
-    figures_of,
-    none_solved,
+    compute_figures,
+    compute_method_figures,
+    make_unsolved_figures,
 )
-from optnav_cli.evaluation.motion import Forward, directions_of_motion
+from optnav_cli.evaluation.motion import Forward, find_motion_axes
 from optnav_cli.fix import MatchKind, MatchRow, Solution
 from optnav_cli.frames.truth import Truth
 
 WRONG_PX = 3.0  # a match further than this from the truth is a wrong one
-SAME_TIME_S = 0.01
 
 
 @dataclass(frozen=True)
@@ -34,11 +33,11 @@ class Evaluation:
 
     def figures(self) -> Figures:
         """Add the frames up. Raises NothingToDoError when none is solved."""
-        return figures_of(self.frames)
+        return compute_figures(self.frames)
 
     def figures_if_any(self) -> Figures:
-        """The same; where none is solved, figures that are no numbers."""
-        return self.figures() if self.any_solved else none_solved(self.frames)
+        """Add the frames up; NaN figures where none is solved."""
+        return self.figures() if self.any_solved else make_unsolved_figures(self.frames)
 
     @property
     def any_solved(self) -> bool:
@@ -46,7 +45,7 @@ class Evaluation:
         return any(frame.error_rnb_m is not None for frame in self.frames)
 
     def without_attitudes(self, remark: str) -> "Evaluation":
-        """The same without what true attitudes say, for they are of another frame."""
+        """Drop what true attitudes say when they are of another frame."""
         frames = (
             replace(frame, attitude_error_rad=None, n_checked=None, n_wrong=None)
             for frame in self.frames
@@ -54,8 +53,8 @@ class Evaluation:
         return Evaluation(tuple(frames), (*self.remarks, remark))
 
     def by_method(self) -> list[MethodFigures]:
-        """The same for each method and camera, from afar to near."""
-        return figures_by_method(self.frames)
+        """Add the frames up for each method and camera, from afar to near."""
+        return compute_method_figures(self.frames)
 
 
 def evaluate(
@@ -76,7 +75,7 @@ def evaluate(
     by_file = {truth.file: truth for truth in truths}
     _check_same_frames(solutions, by_file)
     # The direction of motion rests on all true positions, also of frames that the run lacks.
-    axes = dict(zip(by_file, directions_of_motion(truths), strict=True))
+    axes = dict(zip(by_file, find_motion_axes(truths), strict=True))
     kept: dict[str, list[MatchRow]] = {}
     for match in matches:
         # near the ground metres are many pixels, and a landmark has no known place
@@ -84,7 +83,7 @@ def evaluate(
         if known and match.used and match.measured_px is not None:
             kept.setdefault(match.file, []).append(match)
     frames = tuple(
-        _frame_error(s, by_file[s.file], *axes[s.file], reference_radius_m, kept, cameras)
+        _compare_frame(s, by_file[s.file], *axes[s.file], reference_radius_m, kept, cameras)
         for s in solutions
     )
     extra = len(truths) - len(solutions)
@@ -92,8 +91,8 @@ def evaluate(
     return Evaluation(frames, (remark,) if extra else ())
 
 
-def pool(evaluations: Iterable[Evaluation]) -> Evaluation:
-    """Several evaluations as one; each frame keeps its own truth and axes."""
+def combine_evaluations(evaluations: Iterable[Evaluation]) -> Evaluation:
+    """Combine evaluations; each frame keeps its own truth and axes."""
     evaluations = list(evaluations)
     return Evaluation(
         tuple(frame for evaluation in evaluations for frame in evaluation.frames),
@@ -111,17 +110,17 @@ def _check_same_frames(solutions: Sequence[Solution], truths: Mapping[str, Truth
         )
     for solution in solutions:
         truth = truths[solution.file]
-        if solution.solved and abs(utc_to_tdb_s(solution.utc) - truth.tdb_s) > SAME_TIME_S:
+        if solution.solved and abs(utc_to_tdb_s(solution.utc) - truth.tdb_s) > 0.01:
             raise DataError(
                 f"{solution.file}: the run has the time {solution.utc}, the truth {truth.utc}; "
                 "wanted the truth.csv of the folder that was navigated"
             )
 
 
-def _checked(
+def _count_wrong(
     kept: Sequence[MatchRow], truth: Truth, camera: Camera | None
 ) -> tuple[int | None, int | None]:
-    """How many kept matches there are, and how many lie WRONG_PX from the point's true pixel."""
+    """Count kept matches, and those more than WRONG_PX from the point's true pixel."""
     if camera is None or not truth.has_attitude:
         return None, None
     if not kept:
@@ -134,7 +133,7 @@ def _checked(
     return len(kept), int((~(off <= WRONG_PX)).sum())
 
 
-def _frame_error(
+def _compare_frame(
     solution: Solution,
     truth: Truth,
     axes: FloatArray,
@@ -155,7 +154,7 @@ def _frame_error(
     angle = None
     if solution.camera_from_body is not None and truth.has_attitude:
         angle = float((solution.camera_from_body * truth.camera_from_body.inv()).magnitude())
-    n_checked, n_wrong = _checked(kept.get(solution.file, ()), truth, camera)
+    n_checked, n_wrong = _count_wrong(kept.get(solution.file, ()), truth, camera)
     return replace(
         frame,
         error_rnb_m=axes @ error,

@@ -1,6 +1,6 @@
-"""What the errors of a set of frames add up to, and whether their stated covariance is honest.
+"""Statistics of the errors of a set of frames, and whether their stated covariance is honest.
 
-And the limits that these figures must keep, as a pipeline sets them.
+Also the limits that a pipeline sets for them.
 """
 
 import math
@@ -20,18 +20,17 @@ from optnav_cli.output.wording import format_length
 from optnav_cli.reasons import ReasonCode, format_distinct
 
 FROM_AFAR = tuple(reversed(Method))  # as an approaching craft uses them
-STATED_SIGMAS = 3.0
 BEYOND_SIGMAS = 5.0  # of the error as a whole: the root of its normalised square
 CONFIDENCE = 0.95
 
 
-def method_words(method: str) -> str:
-    """A method's name for people; a name that is not known stays as it is."""
+def describe_method(method: str) -> str:
+    """Return a method's name for people; an unknown name stays as it is."""
     return Method(method).label if method in FROM_AFAR else method or "unnamed"
 
 
-def method_rank(method: str) -> tuple[int, str]:
-    """By which methods are ordered: from afar to near, unknown ones last."""
+def rank_method(method: str) -> tuple[int, str]:
+    """Rank methods from afar to near, unknown ones last."""
     return (FROM_AFAR.index(Method(method)) if method in FROM_AFAR else len(FROM_AFAR), method)
 
 
@@ -85,7 +84,7 @@ class FrameError:
 
 @dataclass(frozen=True)
 class Spread:
-    """How one component's errors lie; sigma (about the mean) is None for a single frame."""
+    """Statistics of one component's errors; sigma (about the mean) is None for a single frame."""
 
     bias: float
     sigma: float | None
@@ -95,7 +94,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Figures:
-    """What a set of frames adds up to; lengths in m, angles in rad.
+    """Statistics of a set of frames; lengths in m, angles in rad.
 
     horizontal_rms_m   rms of sqrt(N^2 + B^2)
     inside_3_sigma     (R, N, B) share of frames inside 3 stated sigmas
@@ -139,7 +138,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class MethodFigures:
-    """What one method did with the pictures of one camera.
+    """Statistics of one method on the pictures of one camera.
 
     of_frames             pictures of the camera
     range_rms             error along R over the distance to the surface, rms; None at the surface
@@ -154,31 +153,31 @@ class MethodFigures:
     direction_rms: float
 
 
-def figures_by_method(frames: Sequence[FrameError]) -> list[MethodFigures]:
-    """Solved frames by method and camera, from afar to near."""
+def compute_method_figures(frames: Sequence[FrameError]) -> list[MethodFigures]:
+    """Compute figures of solved frames by method and camera, from afar to near."""
     groups: dict[tuple[str, str], list[FrameError]] = {}
     for frame in frames:
         if frame.error_rnb_m is not None:
             groups.setdefault((frame.solution.method, frame.camera), []).append(frame)
-    found = []
-    for method, camera in sorted(groups, key=lambda key: (*method_rank(key[0]), key[1])):
+    figures = []
+    for method, camera in sorted(groups, key=lambda key: (*rank_method(key[0]), key[1])):
         group = groups[method, camera]
         ranges = [f.range_error[0] for f in group if f.range_error is not None]
         angles = [f.direction_error[0] for f in group if f.direction_error is not None]
-        found.append(
+        figures.append(
             MethodFigures(
                 method,
                 camera,
                 sum(frame.camera == camera for frame in frames),
-                figures_of(group),
-                _rms(np.array(ranges)) if ranges else None,
-                _rms(np.array(angles)),
+                compute_figures(group),
+                _compute_rms(np.array(ranges)) if ranges else None,
+                _compute_rms(np.array(angles)),
             )
         )
-    return found
+    return figures
 
 
-def figures_of(frames: Sequence[FrameError]) -> Figures:
+def compute_figures(frames: Sequence[FrameError]) -> Figures:
     """Add frames up. Raises NothingToDoError when none of them is solved."""
     good = [frame for frame in frames if frame.error_rnb_m is not None]
     reasons = Counter(f.solution.reason_code for f in frames if f.error_rnb_m is None)
@@ -190,7 +189,7 @@ def figures_of(frames: Sequence[FrameError]) -> Figures:
     errors = np.array([frame.error_rnb_m for frame in good])
     sigmas = np.array([frame.sigma_rnb_m for frame in good])
     horizontal = np.hypot(errors[:, 1], errors[:, 2])
-    inside = (np.abs(errors) <= STATED_SIGMAS * sigmas).mean(axis=0)
+    inside = (np.abs(errors) <= 3.0 * sigmas).mean(axis=0)
     nees = np.array([frame.nees for frame in good])
     terms = 3 * len(good)
     tails = (0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0)
@@ -200,15 +199,15 @@ def figures_of(frames: Sequence[FrameError]) -> Figures:
     return Figures(
         frames=len(frames),
         solved=len(good),
-        r=_spread(errors[:, 0]),
-        n=_spread(errors[:, 1]),
-        b=_spread(errors[:, 2]),
-        horizontal_rms_m=_rms(horizontal),
+        r=_compute_spread(errors[:, 0]),
+        n=_compute_spread(errors[:, 1]),
+        b=_compute_spread(errors[:, 2]),
+        horizontal_rms_m=_compute_rms(horizontal),
         horizontal_max_m=float(horizontal.max()),
         inside_3_sigma=(float(inside[0]), float(inside[1]), float(inside[2])),
         nees=float(nees.mean()) / 3.0,
         nees_range=(low, high),
-        attitude_rms=_rms(np.array(angles)) if angles else None,
+        attitude_rms=_compute_rms(np.array(angles)) if angles else None,
         attitude_max=max(angles) if angles else None,
         n_predicted=sum(f.solution.n_predicted or 0 for f in good),
         n_matched=sum(f.solution.n_matched or 0 for f in good),
@@ -221,26 +220,26 @@ def figures_of(frames: Sequence[FrameError]) -> Figures:
     )
 
 
-def none_solved(frames: Sequence[FrameError]) -> Figures:
-    """The figures of frames none of which is solved: nothing but their number and reasons."""
+def make_unsolved_figures(frames: Sequence[FrameError]) -> Figures:
+    """Make the figures of frames none of which is solved: only their number and reasons."""
     reasons = Counter(frame.solution.reason_code for frame in frames)
     nan, spread = math.nan, Spread(math.nan, None, math.nan, math.nan)
     errors = (spread, spread, spread, nan, nan, (nan, nan, nan), nan, (nan, nan), None, None)
     return Figures(len(frames), 0, *errors, 0, 0, 0, 0, 0, 0, dict(sorted(reasons.items())))
 
 
-def _spread(values: FloatArray) -> Spread:
+def _compute_spread(values: FloatArray) -> Spread:
     sigma = float(values.std(ddof=1)) if len(values) > 1 else None
-    return Spread(float(values.mean()), sigma, _rms(values), float(np.abs(values).max()))
+    return Spread(float(values.mean()), sigma, _compute_rms(values), float(np.abs(values).max()))
 
 
-def _rms(values: FloatArray) -> float:
+def _compute_rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What the figures are held against; None for no limit.
+    """Limits of the figures; None for no limit.
 
     max_horizontal_m, max_height_m  rms of the errors along and across; of the height
     min_solved  solved frames: how many (int), or the share of all (float, 0 to 1)
@@ -265,19 +264,22 @@ class LimitCheck(NamedTuple):
     words: str
 
 
-def limit_checks(figures: Figures, limits: Limits) -> list[LimitCheck]:
-    """The limits that are set, each with its figure; without a solved frame min_solved alone."""
-    return [*_solved(figures, limits), *(_of_solved(figures, limits) if figures.solved else ())]
+def list_limit_checks(figures: Figures, limits: Limits) -> list[LimitCheck]:
+    """List the limits that are set, with figures; without a solved frame just min_solved."""
+    return [
+        *_check_solved(figures, limits),
+        *(_check_errors(figures, limits) if figures.solved else ()),
+    ]
 
 
 def check_limits(figures: Figures, limits: Limits) -> None:
     """Raise DifferenceError naming the figures that pass their limits."""
-    passed = [check.words for check in limit_checks(figures, limits) if not check.kept]
+    passed = [check.words for check in list_limit_checks(figures, limits) if not check.kept]
     if passed:
         raise DifferenceError("; ".join(passed))
 
 
-def _solved(figures: Figures, limits: Limits) -> Iterator[LimitCheck]:
+def _check_solved(figures: Figures, limits: Limits) -> Iterator[LimitCheck]:
     limit = limits.min_solved
     if limit is None:
         return
@@ -292,7 +294,7 @@ def _solved(figures: Figures, limits: Limits) -> Iterator[LimitCheck]:
     )
 
 
-def _of_solved(figures: Figures, limits: Limits) -> Iterator[LimitCheck]:
+def _check_errors(figures: Figures, limits: Limits) -> Iterator[LimitCheck]:
     beyond = f"{figures.beyond_5_sigma} of {figures.solved} solved frames are off by more than "
     for name, figure, words in (
         ("max_horizontal_m", figures.horizontal_rms_m, "horizontal error {} (rms)"),

@@ -1,7 +1,8 @@
-"""The evaluation of a run folder: read, and written as evaluation.json and .csv."""
+"""The evaluation of a run folder: read, written as evaluation.json and .csv, shown as a table."""
 
 import logging
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,20 +16,26 @@ from catalog.files import make_prefix_test, replace_file
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import log_stage
 from catalog.tables import CsvRow
-from optnav_cli.evaluation.evaluation import Evaluation, evaluate
-from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures
-from optnav_cli.evaluation.motion import TimedPlace, directions_of_motion, other_frame
+from optnav_cli.evaluation.evaluation import WRONG_PX, Evaluation, evaluate
+from optnav_cli.evaluation.figures import (
+    BEYOND_SIGMAS,
+    Figures,
+    FrameError,
+    MethodFigures,
+    Spread,
+    describe_method,
+)
+from optnav_cli.evaluation.motion import TimedPlace, find_motion_axes, identify_other_frame
 from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.output.tables import read_reason_code
-from optnav_cli.output.wording import format_json
+from optnav_cli.output.wording import align_table, choose_length_unit, format_angle, format_json
 from optnav_cli.reasons import Reason
 
 log = logging.getLogger(__name__)
 
 EVALUATION_JSON, EVALUATION_CSV = "evaluation.json", "evaluation.csv"
-POINT_COUNTS = ("predicted", "matched", "used", "checked", "wrong")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +64,8 @@ class ErrorRow:
     direction_sigma: float | None = None
 
 
-def error_cells(frame: FrameError) -> dict[str, object]:
-    """A frame as a row of evaluation.csv."""
+def make_error_cells(frame: FrameError) -> dict[str, object]:
+    """Make a row of evaluation.csv."""
     solution = frame.solution
     of_solution = "status", "method", "n_predicted", "n_matched", "n_used", "reason", "reason_code"
     cells: dict[str, object] = {name: getattr(solution, name) for name in of_solution}
@@ -80,9 +87,9 @@ def error_cells(frame: FrameError) -> dict[str, object]:
 
 
 def read_error_rows(path: Path) -> list[ErrorRow]:
-    """The frames of an evaluation.csv. Raises DataError for a damaged table or an old one."""
+    """Read the frames of an evaluation.csv. Raises DataError for a damaged table or an old one."""
     try:
-        rows = EVALUATION.read(path, _error_row)
+        rows = EVALUATION.read(path, _read_error_row)
         if not any(row.error_rnb_m is not None and row.sigma_rnb_m is not None for row in rows):
             raise DataError(f"{path}: has no frame with an error")
     except DataError as error:
@@ -90,7 +97,7 @@ def read_error_rows(path: Path) -> list[ErrorRow]:
     return rows
 
 
-def _error_row(row: CsvRow) -> ErrorRow:
+def _read_error_row(row: CsvRow) -> ErrorRow:
     return ErrorRow(
         file=row["file"],
         utc=row["utc"],
@@ -108,14 +115,14 @@ def _error_row(row: CsvRow) -> ErrorRow:
     )
 
 
-def stated_rows(run: RunFolder) -> list[ErrorRow]:
-    """The frames of a run that was not compared with a truth: what its solutions state.
+def make_stated_rows(run: RunFolder) -> list[ErrorRow]:
+    """Make the rows of a run that was not compared with a truth: what its solutions state.
 
     R, N, B follow the solved positions.
     """
     solved = [s for s in run.solutions if s.position_m is not None and s.covariance_m2 is not None]
-    places = [TimedPlace(time_of(s.utc), np.asarray(s.position_m)) for s in solved]
-    axes = dict(zip((s.file for s in solved), directions_of_motion(places), strict=True))
+    places = [TimedPlace(read_time(s.utc), np.asarray(s.position_m)) for s in solved]
+    axes = dict(zip((s.file for s in solved), find_motion_axes(places), strict=True))
     rows = []
     for s in run.solutions:
         camera = run.cameras.get(s.file)
@@ -138,28 +145,28 @@ def stated_rows(run: RunFolder) -> list[ErrorRow]:
     return rows
 
 
-def time_of(utc: str) -> float:
-    """Seconds; a time that is not understood puts its frame before all others."""
+def read_time(utc: str) -> float:
+    """Return seconds; a time that is not understood puts its frame before all others."""
     try:
         return utc_to_tdb_s(utc)
     except DataError:
         return -math.inf
 
 
-def _spreads(figures: Figures) -> dict[str, dict[str, float | None]]:
-    """Each component's errors as JSON values, m."""
+def _round_spreads(figures: Figures) -> dict[str, dict[str, float | None]]:
+    """Round each component's errors to JSON values, m."""
     return {
         axis: {f"{k}_m": None if v is None else round(v, 3) for k, v in asdict(spread).items()}
         for axis, spread in zip("rnb", (figures.r, figures.n, figures.b), strict=True)
     }
 
 
-def _inside(figures: Figures) -> dict[str, float]:
+def _round_shares(figures: Figures) -> dict[str, float]:
     return {axis: round(v, 6) for axis, v in zip("rnb", figures.inside_3_sigma, strict=True)}
 
 
-def method_summary(method: MethodFigures) -> dict[str, Any]:
-    """A method's figures as JSON values, rounded as they are written."""
+def summarise_method(method: MethodFigures) -> dict[str, Any]:
+    """Return a method's figures as JSON values, rounded as they are written."""
     figures = method.figures
     ranges = None if method.range_rms is None else round(100.0 * method.range_rms, 6)
     return {
@@ -167,8 +174,8 @@ def method_summary(method: MethodFigures) -> dict[str, Any]:
         "camera": method.camera,
         "frames_of_camera": method.of_frames,
         "solved": figures.solved,
-        **_spreads(figures),
-        "share_inside_3_sigma": _inside(figures),
+        **_round_spreads(figures),
+        "share_inside_3_sigma": _round_shares(figures),
         "normalised_error_squared": round(figures.nees, 6),
         "range_rms_percent": ranges,
         "direction_rms_arcsec": round(method.direction_rms / ARCSEC, 4),
@@ -185,20 +192,20 @@ def evaluate_run(run: Path, truth: Path) -> Evaluation:
         rows, radius_m = folder.solutions, folder.attitude.body.radius_m
         truths = read_truth(truth, folder.attitude)
         try:
-            found = evaluate(rows, truths, radius_m, folder.matches, folder.cameras)
+            evaluation = evaluate(rows, truths, radius_m, folder.matches, folder.cameras)
         except DataError as error:
             raise DataError(f"{truth}: {error}") from error
-        other = other_frame(rows, truths, replace(folder.attitude, motion=None))
+        other = identify_other_frame(rows, truths, replace(folder.attitude, motion=None))
         if other:
             remark = (
                 f"{truth}: its quaternions are {other}; wanted {folder.attitude.name}, as run.toml "
                 "says; attitude errors and wrong points are left out"
             )
-            found = found.without_attitudes(remark)
-        for frame in found.frames:
+            evaluation = evaluation.without_attitudes(remark)
+        for frame in evaluation.frames:
             row = frame.solution
             log.debug("%s: compared with its truth", row.file, extra=row.event("evaluate"))
-    return found
+    return evaluation
 
 
 def write_evaluation(evaluation: Evaluation, folder: Path) -> None:
@@ -207,37 +214,161 @@ def write_evaluation(evaluation: Evaluation, folder: Path) -> None:
     Raises NothingToDoError when no frame is solved, OutputError when the folder is not writable.
     """
     evaluation.figures()
-    text = format_json(summary_of(evaluation)) + "\n"
+    text = format_json(summarise(evaluation)) + "\n"
     with replace_file(folder / EVALUATION_CSV, make_prefix_test(b"file,utc,status,")) as path:
-        EVALUATION.write(path, map(error_cells, evaluation.frames))
+        EVALUATION.write(path, map(make_error_cells, evaluation.frames))
     with replace_file(folder / EVALUATION_JSON, make_prefix_test(b'{\n  "frames"')) as path:
         path.write_text(text, encoding="utf-8")
 
 
-def summary_of(evaluation: Evaluation) -> dict[str, Any]:
-    """The figures as plain JSON values, rounded as they are written; NaN where none is solved."""
+def summarise(evaluation: Evaluation) -> dict[str, Any]:
+    """Return the figures as JSON values, rounded as they are written; NaN where none is solved."""
     figures = evaluation.figures_if_any()
 
-    def arcsec(angle: float | None) -> float | None:
+    def round_arcsec(angle: float | None) -> float | None:
         return None if angle is None else round(angle / ARCSEC, 3)
 
     return {
         "frames": figures.frames,
         "solved": figures.solved,
         "share_solved": round(figures.solved / max(figures.frames, 1), 6),
-        **_spreads(figures),
+        **_round_spreads(figures),
         "horizontal_rms_m": round(figures.horizontal_rms_m, 3),
         "horizontal_max_m": round(figures.horizontal_max_m, 3),
         "height_rms_m": round(figures.height_rms_m, 3),
-        "share_inside_3_sigma": _inside(figures),
+        "share_inside_3_sigma": _round_shares(figures),
         "normalised_error_squared": round(figures.nees, 6),
         "normalised_error_squared_95_percent": [round(v, 6) for v in figures.nees_range],
-        "attitude_rms_arcsec": arcsec(figures.attitude_rms),
-        "attitude_max_arcsec": arcsec(figures.attitude_max),
+        "attitude_rms_arcsec": round_arcsec(figures.attitude_rms),
+        "attitude_max_arcsec": round_arcsec(figures.attitude_max),
         "frames_beyond_5_sigma": figures.beyond_5_sigma,
-        "control_points": {name: getattr(figures, f"n_{name}") for name in POINT_COUNTS},
-        "methods": [method_summary(method) for method in evaluation.by_method()],
+        "control_points": {
+            name: getattr(figures, f"n_{name}")
+            for name in ("predicted", "matched", "used", "checked", "wrong")
+        },
+        "methods": [summarise_method(method) for method in evaluation.by_method()],
         "frames_with_local_north": figures.north_frames,
         "unsolved_reasons": {k.value: v for k, v in figures.unsolved_reasons.items()},
         "remarks": list(evaluation.remarks),
     }
+
+
+def format_table(evaluation: Evaluation) -> str:
+    """Format the figures as a table; where no frame is solved, that and why."""
+    figures = evaluation.figures_if_any()
+    lines = [
+        f"solved {figures.solved} of {figures.frames} frames "
+        f"({_format_percent(figures.solved, figures.frames)})"
+    ]
+    if figures.solved:
+        lines += ["", *_format_errors(figures), "", *_describe_honesty(figures)]
+        methods = evaluation.by_method()
+        if len(methods) > 1 or methods[0].method != "control_points":
+            lines += ["", *format_methods(methods), ""]
+    lines += _format_notes(figures, evaluation.remarks)
+    return "\n".join(lines)
+
+
+def format_methods(methods: Sequence[MethodFigures]) -> list[str]:
+    """Format lines of a table, three per method: R, N, B; then its range and direction."""
+    rows = [
+        ("method, camera", "solved", "axis", "unit", "bias", "sigma", "max", "in 3 sigma", "NEES")
+    ]
+    for method in methods:
+        figures = method.figures
+        name = describe_method(method.method) + (f", {method.camera}" if method.camera else "")
+        share, nees = f"{figures.solved} of {method.of_frames}", f"{figures.nees:.2f}"
+        for axis, (spread, inside) in zip("RNB", _list_components(figures), strict=True):
+            unit, bias, sigma, _, largest = _format_cells(spread)
+            rows.append((name, share, axis, unit, bias, sigma, largest, inside, nees))
+            name = share = nees = ""
+    header, *lines = align_table(rows, left=range(4))
+    shown = [header]
+    for number, method in enumerate(methods):
+        shown += lines[3 * number : 3 * number + 3]
+        of_range = method.range_rms
+        ranges = "" if of_range is None else f"range {100.0 * of_range:.3g} %, "
+        shown.append(f"  {ranges}direction to the centre {format_angle(method.direction_rms)}, rms")
+    return shown
+
+
+def _format_errors(figures: Figures) -> list[str]:
+    rows = [("error", "unit", "bias", "sigma", "rms", "max", "inside 3 sigma")]
+    names = ("R  height", "N  along", "B  across")
+    for name, (spread, inside) in zip(names, _list_components(figures), strict=True):
+        rows.append((name, *_format_cells(spread), inside))
+    rms, largest = figures.horizontal_rms_m, figures.horizontal_max_m
+    unit = choose_length_unit(largest)
+    rows.append(("horizontal", unit.name, "", "", unit.text(rms), unit.text(largest), ""))
+    return align_table(rows, left=(0, 1))
+
+
+def _list_components(figures: Figures) -> Iterator[tuple[Spread, str]]:
+    """List each component's spread, and its share inside 3 stated sigmas in words."""
+    for spread, inside in zip((figures.r, figures.n, figures.b), figures.inside_3_sigma):
+        yield spread, f"{100.0 * inside:.1f} %"
+
+
+def _format_cells(spread: Spread) -> tuple[str, str, str, str, str]:
+    """Format unit, bias, sigma, rms, largest."""
+    unit = choose_length_unit(spread.max)
+    sigma = "-" if spread.sigma is None else unit.text(spread.sigma)
+    return (
+        unit.name,
+        unit.text(spread.bias, "+"),
+        sigma,
+        unit.text(spread.rms),
+        unit.text(spread.max),
+    )
+
+
+def _describe_honesty(figures: Figures) -> Iterator[str]:
+    low, high = figures.nees_range
+    yield (
+        f"normalised error squared {figures.nees:.2f} (1 expected; {low:.2f} to {high:.2f} in "
+        "95 % of cases with an honest covariance)"
+    )
+    if figures.beyond_5_sigma:
+        yield (
+            f"off by more than {BEYOND_SIGMAS:g} stated sigmas: {figures.beyond_5_sigma} of "
+            f"{figures.solved} solved frames"
+        )
+
+
+def _format_notes(figures: Figures, remarks: tuple[str, ...]) -> list[str]:
+    lines = []
+    if figures.attitude_rms is not None and figures.attitude_max is not None:
+        rms, largest = format_angle(figures.attitude_rms), format_angle(figures.attitude_max)
+        lines.append(f"attitude error {rms} rms, {largest} max")
+    if figures.n_predicted:  # a run by the horizon alone has none
+        lines += _format_control_points(figures)
+    if figures.north_frames:
+        lines.append(
+            f"N is local north for {figures.north_frames} of {figures.solved} frames "
+            "that have no neighbour in their pass"
+        )
+    lines += [f"unsolved {n} times: {why.label}" for why, n in figures.unsolved_reasons.items()]
+    return lines + list(remarks)
+
+
+def _format_control_points(figures: Figures) -> list[str]:
+    lines = [
+        f"control points: {figures.n_predicted} predicted, {figures.n_matched} found "
+        f"({_format_percent(figures.n_matched, figures.n_predicted)}), {figures.n_used} used "
+        f"({_format_percent(figures.n_used, figures.n_predicted)})"
+    ]
+    if figures.n_checked:
+        lines.append(
+            f"wrong matches used (> {WRONG_PX:g} px from the truth): {figures.n_wrong} of "
+            f"{figures.n_checked} ({_format_percent(figures.n_wrong, figures.n_checked, 2)})"
+        )
+    else:
+        why = "no control point was kept; where windows and landmarks lie is not known to a pixel"
+        if figures.n_checked is None:
+            why = "the run has no camera files, or the truth's attitude is of another frame"
+        lines.append(f"wrong matches: not checked ({why})")
+    return lines
+
+
+def _format_percent(part: int, total: int, decimals: int = 1) -> str:
+    return f"{100.0 * part / total:.{decimals}f} %" if total else "-"

@@ -31,7 +31,6 @@ from optnav_cli.frames.tables import (
 )
 from optnav_cli.output.wording import align_table, format_json
 
-SAME_TIME_S = 1e-3
 # Columns of a run of a cylinder with the columns of their sigmas, and the unit.
 CYLINDER_QUANTITIES = {
     "d_m": ("d_sigma_m", "m"),
@@ -52,8 +51,8 @@ class MeasuredError:
     error: float
     sigma: float | None
 
-    def cells(self) -> dict[str, object]:
-        """The row of evaluation.csv."""
+    def make_row(self) -> dict[str, object]:
+        """Make the row of evaluation.csv."""
         return {
             "file": self.file, "quantity": self.quantity, "unit": self.unit,
             "error": self.error, "sigma": self.sigma,
@@ -74,7 +73,7 @@ class MeasuredEvaluation:
     remark: str = ""
 
     def figures(self) -> list[dict[str, object]]:
-        """Figures of each quantity: rms, mean, greatest, and the mean of (error / sigma)^2."""
+        """Compute rms, mean, greatest and the mean of (error / sigma)^2 of each quantity."""
         rows: list[dict[str, object]] = []
         for name in dict.fromkeys(error.quantity for error in self.errors):
             some = [error for error in self.errors if error.quantity == name]
@@ -99,7 +98,7 @@ class MeasuredEvaluation:
         return rows
 
     def summary(self) -> dict[str, object]:
-        """The document of evaluation.json."""
+        """Return the document of evaluation.json."""
         return {
             "kind": self.kind, "frames": self.pictures, "solved": self.solved,
             "quantities": self.figures(), "remarks": [self.remark] if self.remark else [],
@@ -126,26 +125,26 @@ def evaluate_stars(run: Path, truth: Path) -> MeasuredEvaluation:
     NothingToDoError where no picture has an attitude.
     """
     with log_stage("evaluate"):
-        rows, true = ATTITUDES.rows(run / "attitudes.csv"), _true_rows(truth, STAR_TRUTH)
+        rows, true = ATTITUDES.rows(run / "attitudes.csv"), _read_true_rows(truth, STAR_TRUTH)
         attitude = None
         if (truth.parent / RUN_TOML).exists():
             settings, body = read_run_settings(truth.parent / RUN_TOML)
             attitude = FileAttitude(settings.attitude, body)
         errors: list[MeasuredError] = []
-        for row in _solved(rows):
-            other = _partner(row, true, truth)
-            quaternion, found = other.vector(QUATERNION), row.vector(QUATERNION)
-            if quaternion is None or found is None:
+        for row in _select_solved(rows):
+            other = _find_true_row(row, true, truth)
+            quaternion, measured = other.vector(QUATERNION), row.vector(QUATERNION)
+            if quaternion is None or measured is None:
                 where = other.where if quaternion is None else row.where
                 raise DataError(f"{where}: has no quaternion; fill in {', '.join(QUATERNION)}")
-            turn = _inertial(rotation_from_quaternion(*quaternion), attitude, row["utc"])
-            off = rotation_from_quaternion(*found) * turn.inv()
+            turn = _convert_to_inertial(rotation_from_quaternion(*quaternion), attitude, row["utc"])
+            off = rotation_from_quaternion(*measured) * turn.inv()
             for axis, error in zip("xyz", off.as_rotvec() / ARCSEC, strict=True):
                 sigma = row.number(f"sigma_{axis}_arcsec")
                 errors.append(
                     MeasuredError(row["file"], f"attitude_{axis}", "arcsec", float(error), sigma)
                 )
-        return _evaluation("stars", rows, errors)
+        return _make_evaluation("stars", rows, errors)
 
 
 def evaluate_cylinder(run: Path, truth: Path) -> MeasuredEvaluation:
@@ -155,10 +154,10 @@ def evaluate_cylinder(run: Path, truth: Path) -> MeasuredEvaluation:
     picture is solved.
     """
     with log_stage("evaluate"):
-        rows, true = CYLINDER.rows(run / "cylinder.csv"), _true_rows(truth, CYLINDER_TRUTH)
+        rows, true = CYLINDER.rows(run / "cylinder.csv"), _read_true_rows(truth, CYLINDER_TRUTH)
         errors: list[MeasuredError] = []
-        for row in _solved(rows):
-            other = _partner(row, true, truth)
+        for row in _select_solved(rows):
+            other = _find_true_row(row, true, truth)
             for name, (sigma, unit) in CYLINDER_QUANTITIES.items():
                 value, wanted = row.number(name), other.number(name)
                 if value is None or wanted is None:
@@ -168,21 +167,21 @@ def evaluate_cylinder(run: Path, truth: Path) -> MeasuredEvaluation:
                     off = (off + 180.0) % 360.0 - 180.0
                 stated = row.number(sigma) if sigma else None
                 errors.append(MeasuredError(row["file"], name, unit, off, stated))
-        return _evaluation("cylinder", rows, errors)
+        return _make_evaluation("cylinder", rows, errors)
 
 
 def write_measured(evaluation: MeasuredEvaluation, folder: Path) -> None:
     """Write evaluation.json and evaluation.csv into a run folder."""
     with replace_file(folder / EVALUATION_CSV, make_prefix_test(b"file,quantity,")) as path:
-        MEASURED.write(path, (error.cells() for error in evaluation.errors))
+        MEASURED.write(path, (error.make_row() for error in evaluation.errors))
     with replace_file(folder / EVALUATION_JSON, make_prefix_test(b'{\n  "kind"')) as path:
         path.write_text(format_json(evaluation.summary()) + "\n", encoding="utf-8")
 
 
-def _evaluation(
+def _make_evaluation(
     kind: str, rows: Sequence[CsvRow], errors: Sequence[MeasuredError]
 ) -> MeasuredEvaluation:
-    solved = len(_solved(rows))
+    solved = len(_select_solved(rows))
     if not solved:
         raise NothingToDoError(f"none of {len(rows)} pictures is solved: nothing to compare")
     if not errors:
@@ -190,11 +189,11 @@ def _evaluation(
     return MeasuredEvaluation(kind, len(rows), solved, tuple(errors))
 
 
-def _solved(rows: Sequence[CsvRow]) -> list[CsvRow]:
+def _select_solved(rows: Sequence[CsvRow]) -> list[CsvRow]:
     return [row for row in rows if row["status"] == "solved"]
 
 
-def _true_rows(path: Path, table: CsvTable) -> dict[str, CsvRow]:
+def _read_true_rows(path: Path, table: CsvTable) -> dict[str, CsvRow]:
     rows: dict[str, CsvRow] = {}
     for row in table.rows(path):
         if row.problem:
@@ -205,8 +204,8 @@ def _true_rows(path: Path, table: CsvTable) -> dict[str, CsvRow]:
     return rows
 
 
-def _partner(row: CsvRow, true: Mapping[str, CsvRow], path: Path) -> CsvRow:
-    """The true row of a picture. Raises DataError for none, or one of another time."""
+def _find_true_row(row: CsvRow, true: Mapping[str, CsvRow], path: Path) -> CsvRow:
+    """Find the true row of a picture. Raises DataError for none, or one of another time."""
     other = true.get(row["file"])
     if other is None:
         raise DataError(
@@ -214,10 +213,7 @@ def _partner(row: CsvRow, true: Mapping[str, CsvRow], path: Path) -> CsvRow:
             "folder that was measured"
         )
     times = row["utc"], other["utc"]
-    if (
-        all(times)
-        and abs(math.fsum((utc_to_tdb_s(times[0]), -utc_to_tdb_s(times[1])))) > SAME_TIME_S
-    ):
+    if all(times) and abs(math.fsum((utc_to_tdb_s(times[0]), -utc_to_tdb_s(times[1])))) > 1e-3:
         raise DataError(
             f"{other.where}: has the time {times[1]}, the run {times[0]}; wanted the truth.csv of "
             "the folder that was measured"
@@ -225,9 +221,11 @@ def _partner(row: CsvRow, true: Mapping[str, CsvRow], path: Path) -> CsvRow:
     return other
 
 
-def _inertial(written: Rotation, attitude: FileAttitude | None, utc: str) -> Rotation:
-    """Return camera_from_inertial of a written quaternion. Raises DataError for none without a
-    time."""
+def _convert_to_inertial(written: Rotation, attitude: FileAttitude | None, utc: str) -> Rotation:
+    """Return camera_from_inertial of a written quaternion.
+
+    Raises DataError for a body-fixed one without a time.
+    """
     if attitude is None or attitude.name == "camera_from_inertial":
         return written
     if not utc:

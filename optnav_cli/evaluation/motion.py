@@ -15,17 +15,9 @@ from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.truth import Truth
 
 Forward = Literal["motion", "north"]
-# Frames further apart than this in time or on the ground are not neighbours of one pass: the
-# chord between them is then off the direction of motion by more than a few degrees. Motion slows as
-# the power 1.5 of the distance (Kepler), so beyond NEAR_M the gap may grow like that.
-MAX_GAP_S, NEAR_M = 1200.0, 2.0e6
-MAX_GAP_DEG = 60.0
-SAME_TIME_S = 0.01  # cameras of one moment
-SPEEDS_M_S = (1.0, 20e3)  # slower is standing still, faster is another pass
-MIN_ACROSS = 0.02  # share of the motion across the vertical that still gives a direction
 # True attitudes as far as this from the solved ones are no errors of navigation, and another frame
 # that brings them so much nearer is the one that they were written in.
-FAR_RAD, NEARER = np.radians(1.0), 0.1
+FAR_RAD = np.radians(1.0)
 
 # camera_from_body of a file's rotation and of inertial_from_body, by what the rotation is
 READINGS: Mapping[str, Callable[[Rotation, Rotation], Rotation]] = {
@@ -53,8 +45,8 @@ class TimedPlace(NamedTuple):
     position_m: FloatArray
 
 
-def directions_of_motion(places: Sequence[Placed]) -> list[tuple[FloatArray, Forward]]:
-    """Axes R, N, B as rows (3, 3) for each position, and what N rests on.
+def find_motion_axes(places: Sequence[Placed]) -> list[tuple[FloatArray, Forward]]:
+    """Find axes R, N, B as rows (3, 3) for each position, and what N rests on.
 
     N points along the chord between the neighbours in time that belong to the same pass, as the
     body sees it; where there is none, or the motion is vertical, N is local north ("north").
@@ -64,37 +56,45 @@ def directions_of_motion(places: Sequence[Placed]) -> list[tuple[FloatArray, For
     axes: list[tuple[FloatArray, Forward]] = [(np.eye(3), "north")] * len(places)
     for rank, index in enumerate(order):
         here = places[index]
-        before = _next_in_time(places, order[:rank][::-1], here)
-        after = _next_in_time(places, order[rank + 1 :], here)
-        start = before if before is not None and same_pass(before, here) else here
-        end = after if after is not None and same_pass(here, after) else here
-        axes[index] = _axes(here.position_m, end.position_m - start.position_m)
+        before = _find_next_in_time(places, order[:rank][::-1], here)
+        after = _find_next_in_time(places, order[rank + 1 :], here)
+        start = before if before is not None and is_same_pass(before, here) else here
+        end = after if after is not None and is_same_pass(here, after) else here
+        axes[index] = _compute_axes(here.position_m, end.position_m - start.position_m)
     return axes
 
 
-def _next_in_time(places: Sequence[Placed], order: Sequence[int], here: Placed) -> Placed | None:
-    """The first in order that is of another time."""
+def _find_next_in_time(
+    places: Sequence[Placed], order: Sequence[int], here: Placed
+) -> Placed | None:
+    """Find the first in order that is of another time."""
     others = (places[index] for index in order)
-    return next((other for other in others if abs(other.tdb_s - here.tdb_s) > SAME_TIME_S), None)
+    # cameras of one moment differ by up to 0.01 s
+    return next((other for other in others if abs(other.tdb_s - here.tdb_s) > 0.01), None)
 
 
-def same_pass(one: Placed, later: Placed) -> bool:
-    """Whether two places are neighbours in time on one way, and which is the later is known."""
-    gap_s = later.tdb_s - one.tdb_s
-    nearest = min(float(np.linalg.norm(place.position_m)) for place in (one, later))
-    if not 0.0 < gap_s <= MAX_GAP_S * max(1.0, nearest / NEAR_M) ** 1.5:
+def is_same_pass(earlier: Placed, later: Placed) -> bool:
+    """Whether two positions are neighbours in time on one pass, in this order."""
+    gap_s = later.tdb_s - earlier.tdb_s
+    nearest = min(float(np.linalg.norm(camera.position_m)) for camera in (earlier, later))
+    # Frames further apart than 1200 s or 60 deg on the ground are not neighbours of one pass: the
+    # chord between them is off the direction of motion by more than a few degrees. Motion slows as
+    # the power 1.5 of the distance (Kepler), so beyond 2000 km the gap may grow like that.
+    if not 0.0 < gap_s <= 1200.0 * max(1.0, nearest / 2.0e6) ** 1.5:
         return False
-    speed = float(np.linalg.norm(later.position_m - one.position_m)) / gap_s
-    cosine = one.position_m @ later.position_m
-    cosine = cosine / np.linalg.norm(one.position_m) / np.linalg.norm(later.position_m)
-    near = bool(cosine >= np.cos(np.radians(MAX_GAP_DEG)))
-    return near and SPEEDS_M_S[0] <= speed <= SPEEDS_M_S[1]
+    speed = float(np.linalg.norm(later.position_m - earlier.position_m)) / gap_s
+    cosine = earlier.position_m @ later.position_m
+    cosine = cosine / np.linalg.norm(earlier.position_m) / np.linalg.norm(later.position_m)
+    near = bool(cosine >= np.cos(np.radians(60.0)))
+    # below 1 m/s the camera stands still, above 20 km/s it is another pass
+    return near and 1.0 <= speed <= 20e3
 
 
-def _axes(position: FloatArray, motion: FloatArray) -> tuple[FloatArray, Forward]:
+def _compute_axes(position: FloatArray, motion: FloatArray) -> tuple[FloatArray, Forward]:
     length = float(np.linalg.norm(motion))
     up = position / np.linalg.norm(position)
-    if length > 0.0 and np.linalg.norm(np.cross(up, motion)) >= MIN_ACROSS * length:
+    # 2 % of the motion across the vertical still give a direction
+    if length > 0.0 and np.linalg.norm(np.cross(up, motion)) >= 0.02 * length:
         return rnb_axes(position, motion), "motion"
     north = np.array([0.0, 0.0, 1.0])
     if np.linalg.norm(np.cross(up, north)) < 1e-9:  # at a pole any direction does
@@ -102,10 +102,10 @@ def _axes(position: FloatArray, motion: FloatArray) -> tuple[FloatArray, Forward
     return rnb_axes(position, north), "north"
 
 
-def other_frame(
+def identify_other_frame(
     solutions: Sequence[Solution], truths: Sequence[Truth], attitude: FileAttitude
 ) -> str:
-    """What the quaternions of the truth are, where they are not what `attitude` names; else "".
+    """Identify the truth's quaternions where they are not what `attitude` names; else "".
 
     attitude  as the truth was read with
     """
@@ -127,4 +127,4 @@ def other_frame(
     off = {name: float(np.median(values)) for name, values in angles.items()}
     best = min(off, key=off.__getitem__)
     stated = off[attitude.name]
-    return best if stated > FAR_RAD and off[best] < min(FAR_RAD, NEARER * stated) else ""
+    return best if stated > FAR_RAD and off[best] < min(FAR_RAD, 0.1 * stated) else ""

@@ -1,14 +1,30 @@
-"""One picture on the ground to its risk map and pads, by the method that is asked for."""
+"""One picture on the ground to its risk map and pads, by the chosen method.
 
+A prior slope map adds the tilt of the ground, which brightness hides. Shading measures the slope
+along the Sun nearly exactly, that across it far worse, and neither for waves longer than the
+picture. A coarser map of slopes from orbit has the mean slope of each of its pixels, though not its
+direction. Over the width of such a pixel the slope across the Sun is taken from both, by their
+errors, so that the slope becomes the prior's; what is finer is shading's.
+"""
+
+import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
 
 from catalog.arrays import Float32Array
-from catalog.errors import ConfigError
-from optnav_cli.hazard.fusion import PriorSlopes, combine_slopes, find_too_steep
-from optnav_cli.hazard.ground_view import PictureOnGround
+from catalog.bodies.body import Body
+from catalog.errors import ConfigError, DataError
+from catalog.geometry.grid import sample_bicubic
+from catalog.rasters import TERRAIN, handle_read_errors, open_raster
+from catalog.terrain.dem.file import read_georeference
+from catalog.terrain.dem.georeference import Georeference
+from catalog.terrain.dem.label import read_map_label
+from catalog.terrain.dem.validity import Validity
+from catalog.terrain.slopes import DANGEROUS_DEG
+from optnav_cli.hazard.ground_view import PictureOnGround, average_boxes
 from optnav_cli.hazard.model import HazardModel, load_hazard_model
 from optnav_cli.hazard.pads import (
     Pad,
@@ -19,7 +35,120 @@ from optnav_cli.hazard.pads import (
     rate_slopes,
 )
 from optnav_cli.hazard.settings import HazardSettings
-from optnav_cli.hazard.shading import ShadedSlopes, map_slopes
+from optnav_cli.hazard.shading import ShadedSlopes, map_slopes, rate_danger
+
+MAX_PIXELS = 400_000_000
+MAX_SLOPE_DEG = 90.0
+SMALLEST = 1e-4  # tangent: flatter ground has no direction
+
+
+@dataclass(frozen=True, eq=False)
+class PriorSlopes:
+    """A slope map, deg, NaN for no data, and where it lies."""
+
+    path: Path
+    degrees: Float32Array
+    georeference: Georeference
+    posting_m: float
+
+    def sample_view(self, view: PictureOnGround) -> Float32Array:
+        """Sample the map's slopes (rows, cols), deg, at the cells of a view; NaN outside.
+
+        Raises DataError for a view without a place on the body, or ground that the map lacks.
+        """
+        if view.projection is None:
+            raise DataError(
+                f"{self.path}: a slope map needs a place on the body; give a folder whose "
+                "frames have positions, not a single picture"
+            )
+        rows, cols = view.brightness.shape
+        x, y = np.meshgrid(view.xy_m(0.0, np.arange(cols))[0], view.xy_m(np.arange(rows), 0.0)[1])
+        col, row = self.georeference.pixel_from_latlon(*view.projection.latlon(x, y))
+        if self.georeference.wraps:
+            col = np.mod(col, self.degrees.shape[1])
+        outside = ~(np.isfinite(row) & np.isfinite(col))
+        row[outside] = col[outside] = -10.0
+        sampled = sample_bicubic(self.degrees, row, col)
+        # Less than 5 % of the view is no overlap.
+        if np.isfinite(sampled).mean() < 0.05:
+            raise DataError(
+                f"{self.path}: does not cover the ground that the picture shows; name a map that "
+                "overlaps it"
+            )
+        return np.clip(sampled, 0.0, MAX_SLOPE_DEG)
+
+
+def read_slopes(path: Path, body: Body) -> PriorSlopes:
+    """Read a slope map as `optnav slopes` writes it: degrees in the first band.
+
+    Raises DataError for a file that is no such map.
+    """
+    with open_raster(path, TERRAIN, "check --slopes") as dataset, handle_read_errors(path):
+        rows, cols = dataset.shape
+        if rows * cols > MAX_PIXELS:
+            raise DataError(
+                f"{path}: has {rows} x {cols} pixels; wanted up to {MAX_PIXELS}: cut it with "
+                "gdal_translate -projwin"
+            )
+        remedy = "give it one with gdal_edit.py -a_srs"
+        georeference = read_georeference(path, None, None, body, dataset, remedy)
+        stored = dataset.read(1, masked=True)
+        degrees = stored.astype(np.float32).filled(np.nan)
+        validity = Validity.read(dataset, special=read_map_label(path, dataset).special)
+        degrees[~validity.valid(dataset, stored.data)] = np.nan
+    known = degrees[np.isfinite(degrees)]
+    if not known.size:
+        raise DataError(f"{path}: holds no slope; name another map")
+    low, high = float(known.min()), float(known.max())
+    if low < 0.0 or high > MAX_SLOPE_DEG:
+        raise DataError(
+            f"{path}: its values run from {low:g} to {high:g}; wanted slopes in degrees, 0..90, "
+            "not in percent"
+        )
+    return PriorSlopes(path, degrees, georeference, georeference.row_angle * body.radius_m)
+
+
+def combine_slopes(
+    view: PictureOnGround,
+    slopes: ShadedSlopes,
+    prior_deg: Float32Array,
+    posting_m: float,
+    model: HazardModel,
+) -> ShadedSlopes:
+    """Combine slopes with the prior's means over each of its pixels; unchanged where it is NaN.
+
+    prior_deg  (rows, cols) at the cells of the view
+    """
+    cells = 2 * max(1, round(0.5 * posting_m / view.cell_m)) + 1
+    known = np.isfinite(prior_deg)
+    prior = np.tan(np.radians(np.where(known, prior_deg, 0.0)))
+    along, over = average_boxes(slopes.toward, cells), average_boxes(slopes.across, cells)
+    shading_variance, prior_variance = model.tilt_sigma_deg**2, model.prior_sigma_deg**2
+    weight = shading_variance / (shading_variance + prior_variance)
+    # brightness tells the slope along the Sun far better than that across it
+    wanted = np.sqrt(np.maximum(prior * prior - along * along, 0.0))
+    change = weight * (wanted - np.abs(over))
+    across = slopes.across + np.where(known, change * np.where(over < 0.0, -1.0, 1.0), 0.0)
+    across = across.astype(np.float32)
+    toward = slopes.toward
+    return rate_danger(view, toward, across, slopes.shadow, model)
+
+
+def find_too_steep(
+    prior_deg: Float32Array, cells: int, model: HazardModel
+) -> tuple[Float32Array, Float32Array]:
+    """Find mean prior slopes (deg) of pads, NaN where unknown, and 1 where a pad is refused.
+
+    Refused is what the prior, with its error, has above the dangerous slope.
+    """
+    known = np.isfinite(prior_deg).astype(np.float32)
+    filled = np.where(known > 0, prior_deg, 0.0).astype(np.float32)
+    cells += 1 - cells % 2
+    total, share = average_boxes(filled, cells), average_boxes(known, cells)
+    means = np.divide(total, share, out=np.full_like(total, math.nan), where=share > 0.5)
+    limit = DANGEROUS_DEG - model.prior_sigma_deg
+    steep = np.where(np.isfinite(means), means > limit, False).astype(np.float32)
+    return means, steep
 
 
 @dataclass(frozen=True, eq=False)

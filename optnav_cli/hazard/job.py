@@ -27,9 +27,14 @@ from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture, load_frame_picture, load_picture
-from optnav_cli.hazard.fusion import PriorSlopes, read_slopes
 from optnav_cli.hazard.ground_view import Heights, KnownPose, look_down, look_from
-from optnav_cli.hazard.hazard_map import HazardMap, check_settings, map_hazard
+from optnav_cli.hazard.hazard_map import (
+    HazardMap,
+    PriorSlopes,
+    check_settings,
+    map_hazard,
+    read_slopes,
+)
 from optnav_cli.hazard.output import HazardOutput, MappedFrame
 from optnav_cli.hazard.settings import KIND, OPTIONS, HazardSettings, load_settings
 from optnav_cli.output.manifest import write_manifest
@@ -168,28 +173,20 @@ def map_folder(
         prior = None if inputs.slopes is None else read_slopes(inputs.slopes, folder.body)
         stack.enter_context(log_stage("hazard"))
         partial = stack.enter_context(replace_folder(output, KIND))
-        many = len(folder.frames) > 1
-        out = stack.enter_context(HazardOutput(partial, folder.body, settings, many=many))
         bar = stack.enter_context(progress.stage("hazard", len(folder.frames), "picture"))
-        for row in folder.frames:
-            frame = _map_frame(folder, row, ground, inputs, prior)
-            out.add(frame)
-            frames.append(frame.drop_pixels())
-            bar.advance()
-        out.close()
+        many = len(folder.frames) > 1
+        with HazardOutput(partial, folder.body, settings, many=many) as out:
+            for row in folder.frames:
+                frame = _map_frame(folder, row, ground, inputs, prior)
+                out.add(frame)
+                frames.append(frame.drop_pixels())
+                bar.advance()
+        origin: dict[str, object] = {"folder": path, "body": folder.settings.body}
+        origin |= {named.name: hash_file(named) for named in inputs.list_files()}
         write_manifest(
-            partial,
-            KIND,
-            command="hazard",
-            options=msgspec.to_builtins(settings),
-            inputs={
-                "folder": path,
-                "body": folder.settings.body,
-                **{p.name: hash_file(p) for p in inputs.list_files()},
-            },
-            results=_count_results(frames),
-            started=started,
-        )
+            partial, KIND, command="hazard", options=msgspec.to_builtins(settings), inputs=origin,
+            results=_count_results(frames), started=started,
+        )  # fmt: skip
     _check_found(frames)
     return frames
 

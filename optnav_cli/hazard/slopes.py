@@ -16,7 +16,7 @@ from catalog.rasters import DESCRIPTION, encode_geotiff, is_described
 from catalog.terrain.dem.georeference import Georeference
 from catalog.terrain.dem.source import DemSource
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, SlopeSummary, summarise_slopes
-from optnav_cli.hazard.drawing import MAX_SLOPE_DEG, OUTSIDE_COLOUR, TEXT_COLOUR, map_colours
+from optnav_cli.hazard.output import MAX_SLOPE_DEG, OUTSIDE_COLOUR, TEXT_COLOUR, map_colours
 from optnav_cli.output.canvas import Canvas, encode_picture
 from optnav_cli.output.wording import align_table
 

@@ -1,4 +1,4 @@
-"""The methods asked about one frame: each question once, its answer kept.
+"""A cache of the methods' answers about one frame: each question is asked once.
 
 An answer depends on the frame's row and picture alone, never on other frames. So workers give
 answers ahead of time, and those of a stopped run stand. An answer is used as it reads back from its
@@ -7,10 +7,12 @@ bytes, also where it was just given: a run that goes on has the same numbers to 
 
 import hashlib
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
@@ -20,6 +22,7 @@ from optnav_cli.control_points import method as control_points
 from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.fix import Fix, Method, NoFix, PositionPrior, Solution, UnsolvedFrameError
+from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.observation import Observation
 from optnav_cli.outline import method as outline
 from optnav_cli.outline.neighbour import find_other_body
@@ -31,7 +34,7 @@ Answers = dict[str, bytes]
 
 @dataclass(frozen=True, eq=False)
 class NavigationInputs:
-    """What a run navigates by.
+    """Inputs that all frames of a run are navigated with.
 
     points    None where there is no catalog: then the outline alone gives positions
     relief    None where neither a catalog nor the user gives one
@@ -55,14 +58,14 @@ class Outcome:
 
     @classmethod
     def of(cls, outcome: Fix | NoFix) -> "Outcome":
-        """One that holds this."""
+        """Make the outcome of a method."""
         if isinstance(outcome, Fix):
             return cls(outcome, None)
         return cls(None, outcome)
 
     @property
     def value(self) -> Fix | NoFix:
-        """What it holds."""
+        """The fix, or why there is none."""
         outcome = self.fix or self.no_fix
         if outcome is None:
             raise ValueError("an outcome is empty")
@@ -83,29 +86,31 @@ class FrameMethods:
         self._inputs, self._answers = inputs, answers
 
     def outline(self, *, inverse: bool = False) -> Fix | NoFix:
-        """What the body's outline gives; inverse: seen with the inverse of the stated rotation."""
+        """Solve by the body's outline; inverse: with the inverse of the stated rotation."""
         question = f"outline{' inverse' * inverse}"
         if question not in self._answers:
-            self._keep(question, self._outline(self._seen(inverse)))
-        return self._kept(question)
+            self._keep(question, self._solve_outline(self._load_observation(inverse)))
+        return self._read_answer(question)
 
-    def by_points(self, prior: PositionPrior, *, inverse: bool = False) -> Solution:
-        """The row that control points give from a prior."""
+    def solve_by_points(self, prior: PositionPrior, *, inverse: bool = False) -> Solution:
+        """Solve by control points from a prior; return the frame's row."""
         mark = hashlib.sha256(pack(prior)).hexdigest()
         question = f"control points{' inverse' * inverse} {mark}"
         if question not in self._answers:
-            self._keep(question, self._by_points(self._seen(inverse), prior))
+            self._keep(question, self._match_points(self._load_observation(inverse), prior))
         seen = self.observation
-        return Solution(seen.file, seen.utc, self._kept(question), prior.source, prior.position_m)
+        return Solution(
+            seen.file, seen.utc, self._read_answer(question), prior.source, prior.position_m
+        )
 
     def _keep(self, question: str, outcome: Fix | NoFix) -> None:
         self._answers[question] = pack(Outcome.of(outcome))
 
-    def _kept(self, question: str) -> Fix | NoFix:
+    def _read_answer(self, question: str) -> Fix | NoFix:
         return unpack(self._answers[question], Outcome).value
 
-    def _seen(self, inverse: bool) -> Observation:
-        """The frame with its picture, perhaps with the inverse of the rotation that is stated."""
+    def _load_observation(self, inverse: bool) -> Observation:
+        """Load the frame's picture; inverse: with the inverse of the stated rotation."""
         observation = replace(self.observation, picture=self.observation.picture.load())
         if not inverse:
             return observation
@@ -116,7 +121,7 @@ class FrameMethods:
         turn = Rotation.from_matrix(stated.T @ body_from_space.T)
         return replace(observation, camera_from_body=turn)
 
-    def _outline(self, observation: Observation) -> Fix | NoFix:
+    def _solve_outline(self, observation: Observation) -> Fix | NoFix:
         inputs, turn, sun = self._inputs, observation.camera_from_body, observation.sun_body
         sigma = inputs.settings.attitude_sigma_rad(observation.attitude_sigma_rad)
         body, other = inputs.motion.body, find_other_body(inputs.motion, observation.tdb_s)
@@ -126,7 +131,7 @@ class FrameMethods:
         except NoSolutionError as error:
             return NoFix(Reason.from_error(error))
 
-    def _by_points(self, observation: Observation, prior: PositionPrior) -> Fix | NoFix:
+    def _match_points(self, observation: Observation, prior: PositionPrior) -> Fix | NoFix:
         inputs = self._inputs
         if inputs.points is None:
             raise ValueError("control points are asked for without a catalog")
@@ -138,3 +143,52 @@ class FrameMethods:
             return NoFix(Reason.from_error(error), Method.CONTROL_POINTS, error.evidence)
         except NoSolutionError as error:
             return NoFix(Reason.from_error(error), Method.CONTROL_POINTS)
+
+
+@dataclass(frozen=True)
+class FrameTask:
+    """A frame to look at; has_twin: a frame before it is of the same time."""
+
+    frame: Frame
+    has_twin: bool
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """Stored result of a frame.
+
+    answers  of the methods
+    row      as `packed_row` makes it; empty where the frames before must be known
+    settled  whether the row is the same whatever they say
+    image    the picture as it is recorded;  overlay: drawn for this row;  empty for none
+    undrawn  why they are not there, if they should be
+    details  the traceback of what failed, for the log
+    seconds  that were spent on the frame
+    """
+
+    answers: Answers
+    row: bytes
+    settled: bool
+    image: bytes
+    overlay: bytes
+    undrawn: str
+    details: str
+    seconds: float
+
+
+def pack_row(row: Solution) -> bytes:
+    """A row of solution.csv with its evidence as bytes."""
+    outcome = Outcome.of(row.outcome)
+    return pack((row.file, row.utc, outcome, row.prior, row.prior_m, row.attitude_source))
+
+
+def unpack_row(data: bytes) -> Solution:
+    """The row that `packed_row` was given."""
+    kinds: Any = tuple[str, str, Outcome, str, FloatArray | None, str]
+    file, utc, outcome, prior, prior_m, source = unpack(data, kinds)
+    return Solution(file, utc, outcome.value, prior, prior_m, source)
+
+
+def make_empty_record() -> FrameRecord:
+    """Make the record of a frame that was not processed ahead of time."""
+    return FrameRecord({}, b"", False, b"", b"", "", "", 0.0)

@@ -48,8 +48,8 @@ from catalog.store.geopackage import (
 )
 from catalog.store.records import replace_unknown
 from optnav_cli.camera.camera import Camera
-from optnav_cli.evaluation.files import time_of
-from optnav_cli.evaluation.motion import TimedPlace, same_pass
+from optnav_cli.evaluation.files import read_time
+from optnav_cli.evaluation.motion import TimedPlace, is_same_pass
 from optnav_cli.fix import Solution
 from optnav_cli.output.run_folder import RunFolder
 
@@ -99,11 +99,8 @@ MATCHES = FeatureLayer(
         Rule("used", '"used"', "circle", GREEN, 1.6), Rule("not used", "ELSE", "cross2", RED, 1.6)
     ),
 )
-HEIGHT_ELLIPSOID = "height_ellipsoid_m DOUBLE"  # further column of a spheroid's positions
-POSITIONS_SPHEROID = replace(POSITIONS, columns=(*POSITIONS.columns, HEIGHT_ELLIPSOID))
+POSITIONS_SPHEROID = replace(POSITIONS, columns=(*POSITIONS.columns, "height_ellipsoid_m DOUBLE"))
 LAYERS = (FOOTPRINTS, TRACK, MATCHES, POSITIONS)  # as they are drawn, the lowest first
-ALONG = 48  # points of the border a side
-LIMB_STEP = np.radians(2.0)  # between points of the limb, about the nadir
 
 
 def export_run(run: RunFolder, path: Path) -> dict[str, int]:
@@ -122,7 +119,7 @@ def export_run(run: RunFolder, path: Path) -> dict[str, int]:
         system = define_spheroid_srs(body.name, body.radii_m)
         layers = (*LAYERS[:-1], POSITIONS_SPHEROID)
     srs_id = system[0]
-    features = dict(zip(layers, (_footprints, _tracks, _matches, _positions)))
+    features = dict(zip(layers, (_make_footprints, _make_tracks, _make_matches, _make_positions)))
     with replace_file(path, _is_ours, SIDECARS) as partial, open_new_geopackage(partial) as db:
         describe_geopackage(db, body.name, body.radius_m, UNDATED)
         if body.flattening:
@@ -144,17 +141,17 @@ def _count(db: sqlite3.Connection, layer: FeatureLayer) -> int:
     return int(count)
 
 
-def _camera(run: RunFolder, solution: Solution) -> str:
+def _get_camera_name(run: RunFolder, solution: Solution) -> str:
     camera = run.cameras.get(solution.file)
     return camera.name if camera is not None else ""
 
 
-def _frame(run: RunFolder, solution: Solution) -> tuple[object, ...]:
-    return solution.file, solution.utc, _camera(run, solution)
+def _make_frame_cells(run: RunFolder, solution: Solution) -> tuple[object, ...]:
+    return solution.file, solution.utc, _get_camera_name(run, solution)
 
 
-def _on_map(xyz_m: FloatArray, body: Body) -> FloatArray:
-    """Vectors (..., 3) whose planetocentric coordinates are those of places (..., 3) on the map.
+def _project_to_map(xyz_m: FloatArray, body: Body) -> FloatArray:
+    """Return vectors (..., 3) whose planetocentric coordinates are those of points on the map.
 
     Of a spheroid they are the normals through the places, whose latitudes are geodetic.
     """
@@ -165,53 +162,55 @@ def _on_map(xyz_m: FloatArray, body: Body) -> FloatArray:
     return np.where(np.isfinite(normals), normals, xyz_m)
 
 
-def _place(xyz_m: FloatArray, body: Body) -> tuple[float, float]:
-    """Longitude and latitude on the map, deg."""
-    lat, lon, _ = (float(value) for value in latlon_from_xyz(_on_map(xyz_m, body)))
+def _convert_to_lonlat(xyz_m: FloatArray, body: Body) -> tuple[float, float]:
+    """Convert a position to longitude and latitude on the map, deg."""
+    lat, lon, _ = (float(value) for value in latlon_from_xyz(_project_to_map(xyz_m, body)))
     return float(np.degrees(lon)), float(np.degrees(lat))
 
 
-def _box(parts: list[FloatArray]) -> Box | None:
+def _find_box(parts: list[FloatArray]) -> Box | None:
     if not parts:
         return None
     low, high = np.min(np.vstack(parts), axis=0), np.max(np.vstack(parts), axis=0)
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def _parts(kind: Kind, parts: list[FloatArray], srs_id: int) -> tuple[bytes | None, Box | None]:
-    return encode_parts(kind, parts, srs_id), _box(parts)
+def _encode_parts(
+    kind: Kind, parts: list[FloatArray], srs_id: int
+) -> tuple[bytes | None, Box | None]:
+    return encode_parts(kind, parts, srs_id), _find_box(parts)
 
 
-def _tracks(run: RunFolder, srs_id: int) -> Iterator[Feature]:
-    """A feature for each camera with frames that belong together."""
+def _make_tracks(run: RunFolder, srs_id: int) -> Iterator[Feature]:
+    """Make a feature for each camera with frames that belong together."""
     cameras: dict[str, list[tuple[TimedPlace, Solution]]] = {}
     body = run.attitude.body
     for s in run.solutions:
         if s.position_m is not None:
-            place = TimedPlace(time_of(s.utc), s.position_m)
-            cameras.setdefault(_camera(run, s), []).append((place, s))
+            point = TimedPlace(read_time(s.utc), s.position_m)
+            cameras.setdefault(_get_camera_name(run, s), []).append((point, s))
     for number, (camera, places) in enumerate(sorted(cameras.items()), start=1):
         places.sort(key=lambda pair: pair[0].tdb_s)
         passes = [[places[0][0]]]
         for (before, _), (here, _) in pairwise(places):
-            if not same_pass(before, here):
+            if not is_same_pass(before, here):
                 passes.append([])
             passes[-1].append(here)
-        lines = [np.array([place.position_m for place in way]) for way in passes if len(way) > 1]
-        pieces = [piece for line in lines for piece in split_line(_on_map(line, body))]
-        geometry, box = _parts(TRACK.kind, pieces, srs_id)
+        lines = [np.array([point.position_m for point in way]) for way in passes if len(way) > 1]
+        pieces = [piece for line in lines for piece in split_line(_project_to_map(line, body))]
+        geometry, box = _encode_parts(TRACK.kind, pieces, srs_id)
         times = places[0][1].utc, places[-1][1].utc
         yield (number, geometry, camera, *times, len(places)), box
 
 
-def _positions(run: RunFolder, srs_id: int) -> Iterator[Feature]:
-    """A feature for each frame; of an unsolved one the attributes alone."""
+def _make_positions(run: RunFolder, srs_id: int) -> Iterator[Feature]:
+    """Make a feature for each frame; of an unsolved one the attributes alone."""
     body = run.attitude.body
     above: tuple[object, ...] = (None,) if body.flattening else ()
     for number, s in enumerate(run.solutions, start=1):
         geometry, box, numbers, more = None, None, (None,) * 6, above
         if s.position_m is not None and s.covariance_m2 is not None:
-            lon, lat = _place(s.position_m, body)
+            lon, lat = _convert_to_lonlat(s.position_m, body)
             radius = float(latlon_from_xyz(s.position_m)[2])
             up = s.position_m / radius
             variance = float(up @ s.covariance_m2 @ up)
@@ -224,11 +223,23 @@ def _positions(run: RunFolder, srs_id: int) -> Iterator[Feature]:
         evidence = s.n_used, s.n_limb, s.residual_rms_px
         words = s.status, s.method, s.prior
         why = s.reason, s.reason_code.value
-        yield (number, geometry, *_frame(run, s), *words, *numbers, *evidence, *why, *more), box
+        yield (
+            (
+                number,
+                geometry,
+                *_make_frame_cells(run, s),
+                *words,
+                *numbers,
+                *evidence,
+                *why,
+                *more,
+            ),
+            box,
+        )
 
 
-def _footprints(run: RunFolder, srs_id: int) -> Iterator[Feature]:
-    """A feature for each solved frame whose camera and attitude are known."""
+def _make_footprints(run: RunFolder, srs_id: int) -> Iterator[Feature]:
+    """Make a feature for each solved frame whose camera and attitude are known."""
     number = 0
     body = run.attitude.body
     for s in run.solutions:
@@ -236,19 +247,19 @@ def _footprints(run: RunFolder, srs_id: int) -> Iterator[Feature]:
         if s.position_m is None or s.camera_from_body is None or camera is None:
             continue
         turn = s.camera_from_body.as_matrix()
-        rings = footprint_of(camera, s.position_m, turn, body.radii_m)
-        pieces = [piece for ring in rings for piece in split_area(_on_map(ring, body))]
-        geometry, box = _parts(FOOTPRINTS.kind, pieces, srs_id)
+        rings = compute_footprint(camera, s.position_m, turn, body.radii_m)
+        pieces = [piece for ring in rings for piece in split_area(_project_to_map(ring, body))]
+        geometry, box = _encode_parts(FOOTPRINTS.kind, pieces, srs_id)
         if geometry is not None:
             number += 1
             height = float(np.linalg.norm(s.position_m)) - body.radius_m
-            yield (number, geometry, *_frame(run, s), s.method, height), box
+            yield (number, geometry, *_make_frame_cells(run, s), s.method, height), box
 
 
-def _matches(run: RunFolder, srs_id: int) -> Iterator[Feature]:
-    """A feature for each control point that was tried in a frame."""
+def _make_matches(run: RunFolder, srs_id: int) -> Iterator[Feature]:
+    """Make a feature for each control point that was tried in a frame."""
     for number, m in enumerate(run.matches, start=1):
-        lon, lat = _place(m.cp_position_m, run.attitude.body)
+        lon, lat = _convert_to_lonlat(m.cp_position_m, run.attitude.body)
         radius = float(latlon_from_xyz(m.cp_position_m)[2])
         residual = (None, None) if m.residual_px is None else map(float, m.residual_px)
         numbers = m.score, *residual, m.sun_elevation_deg
@@ -258,10 +269,10 @@ def _matches(run: RunFolder, srs_id: int) -> Iterator[Feature]:
         yield (number, encode_point(lon, lat, srs_id), *row), (lon, lat, lon, lat)
 
 
-def footprint_of(
+def compute_footprint(
     camera: Camera, position_m: FloatArray, camera_from_body: FloatArray, radii_m: ArrayLike
 ) -> list[FloatArray]:
-    """Rings (n, 3) of places, m, body frame, around the ground in view, at their left.
+    """Compute rings (n, 3), m, body frame, with the ground in view at their left.
 
     position_m (3,) of the camera; camera_from_body (3, 3); radii_m (3,) semi-axes of the ellipsoid
     Empty where the picture shows none of it, or the camera is inside.
@@ -274,47 +285,55 @@ def footprint_of(
     reach = float(np.arcsin(1.0 / distance))
     up = eye / distance
     axes = np.vstack([*perpendicular_basis(up), up])  # rows: across, across, away from the body
-    rays = camera.unproject(camera.border(ALONG))
+    # 48 points along each side of the border.
+    rays = camera.unproject(camera.border(48))
     rays = unit(rays[np.isfinite(rays).all(axis=1)] @ camera_from_body / radii)
-    across, away = rays @ axes[:2].T, rays @ up
-    angle = np.arctan2(np.linalg.norm(across, axis=1), -away)
+    across, upward = rays @ axes[:2].T, rays @ up
+    angle = np.arctan2(np.linalg.norm(across, axis=1), -upward)
     # the border goes clockwise round the picture, which is looked at from outside of the body
-    ring = (unit_rows(across) * (angle / reach)[:, None])[::-1]
+    ring = (normalise_rows(across) * (angle / reach)[:, None])[::-1]
     depth = 1.0 - np.linalg.norm(ring, axis=1)
-    if depth.size and not (depth > 0.0).any() and _sees(camera, camera_from_body @ -position_m):
-        parts = [np.vstack([[[1.0, 0.0]], _circle(0.0, 2.0 * np.pi)])]  # the whole disc
+    if (
+        depth.size
+        and not (depth > 0.0).any()
+        and _is_in_view(camera, camera_from_body @ -position_m)
+    ):
+        parts = [np.vstack([[[1.0, 0.0]], _sample_circle(0.0, 2.0 * np.pi)])]  # the whole disc
     else:
-        parts = clip_ring(ring, depth, _azimuth, _circle, 2.0 * np.pi)
-    return [_places(part, eye, axes, reach) * radii for part in parts]
+        parts = clip_ring(ring, depth, _compute_azimuth, _sample_circle, 2.0 * np.pi)
+    return [_locate_on_sphere(part, eye, axes, reach) * radii for part in parts]
 
 
-def unit_rows(vectors: FloatArray) -> FloatArray:
-    """Directions (n, 2) of vectors; zero for none."""
+def normalise_rows(vectors: FloatArray) -> FloatArray:
+    """Normalise vectors (n, 2); zero vectors stay."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     directions: FloatArray = vectors / np.where(length > 0.0, length, 1.0)
     return directions
 
 
-def _sees(camera: Camera, direction: FloatArray) -> bool:
+def _is_in_view(camera: Camera, direction: FloatArray) -> bool:
     pixel = camera.project(direction)
     return bool(np.isfinite(pixel).all() and camera.contains(pixel))
 
 
-def _azimuth(points: FloatArray) -> FloatArray:
+def _compute_azimuth(points: FloatArray) -> FloatArray:
     return np.arctan2(points[:, 1], points[:, 0])
 
 
-def _circle(start: float, length: float) -> FloatArray:
-    """Points of the unit circle between a place on it and another one so far along it."""
-    count = int(length / LIMB_STEP) + 1
+def _sample_circle(start: float, length: float) -> FloatArray:
+    """Sample the unit circle from an angle over a length, without the ends."""
+    # Points of the limb are 2 deg apart about the nadir.
+    count = int(length / np.radians(2.0)) + 1
     angles = start + length * np.arange(1, count + 1) / (count + 1)
     return np.column_stack([np.cos(angles), np.sin(angles)])
 
 
-def _places(part: FloatArray, eye: FloatArray, axes: FloatArray, reach: float) -> FloatArray:
-    """Places (n, 3) of the unit sphere that points of the plane stand for."""
+def _locate_on_sphere(
+    part: FloatArray, eye: FloatArray, axes: FloatArray, reach: float
+) -> FloatArray:
+    """Return points (n, 3) of the unit sphere for points of the plane."""
     share = np.linalg.norm(part, axis=1)
-    way = unit_rows(part) @ axes[:2]
+    way = normalise_rows(part) @ axes[:2]
     limb = share >= 1.0 - 1e-9
     angle = np.minimum(share, 1.0 - 1e-9)[:, None] * reach
     rays = np.sin(angle) * way - np.cos(angle) * axes[2]

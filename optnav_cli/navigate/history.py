@@ -13,10 +13,6 @@ from optnav_cli.fix import Fix, PositionPrior
 
 # Cameras that are triggered together; a low orbit goes 2 m in it.
 SAME_TIME_S = 1e-3
-MAX_ESCAPES = 2.0
-# Far from the body a craft comes with a speed of its own, m/s.
-MAX_FAR_M_S = 3000.0
-GATE_SIGMAS = 5.0
 
 
 class NeedsPastError(Exception):
@@ -32,29 +28,29 @@ class History:
         self._last: tuple[float, PositionPrior] | None = None
         self._boresight_rad = 0.0
 
-    def at_same_time(self, tdb_s: float) -> PositionPrior | None:
-        """The fix of another camera at a time, if there is one."""
+    def find_at_same_time(self, tdb_s: float) -> PositionPrior | None:
+        """Find the fix of another camera at a time; None for none."""
         if self._last is None or abs(self._last[0] - tdb_s) > SAME_TIME_S:
             return None
         return self._last[1]
 
     def predict(self, tdb_s: float) -> PositionPrior | None:
-        """Where the orbit arc leads; None where it says nothing of use."""
-        found = self._arc.predict(tdb_s)
-        if found is None:
+        """Predict the position by the orbit arc; None where it is of no use."""
+        predicted = self._arc.predict(tdb_s)
+        if predicted is None:
             return None
         body_from_inertial = self._motion.body_from_inertial(tdb_s)
-        covariance = body_from_inertial @ found.covariance_m2 @ body_from_inertial.T
-        position = body_from_inertial @ found.position_m
+        covariance = body_from_inertial @ predicted.covariance_m2 @ body_from_inertial.T
+        position = body_from_inertial @ predicted.position_m
         if self._boresight_rad:  # which more fixes do not average out
             across = float(position @ position) * np.eye(3) - np.outer(position, position)
             covariance = covariance + self._boresight_rad**2 * across
-        return PositionPrior(position, covariance, found.source)
+        return PositionPrior(position, covariance, predicted.source)
 
     def add_fix(
         self, tdb_s: float, fix: Fix, *, confirmed: bool, boresight_rad: float = 0.0
     ) -> ArcDisagreement | None:
-        """Add a fix to the arc; how it disagrees where it does not lie where the arc leads.
+        """Add a fix to the arc; return how it disagrees where it is off the arc.
 
         confirmed      two methods agree on the fix, so that it is the arc that no longer holds
         boresight_rad  sigma of its camera's mounting
@@ -65,8 +61,8 @@ class History:
         inertial = TimedPosition(tdb_s, inertial_from_body @ fix.position_m, covariance)
         return self._arc.add(inertial, confirmed=confirmed)
 
-    def exceeds_max_speed(self, tdb_s: float, fix: Fix) -> str:
-        """Why no craft can have come to a fix since the last one, in words; empty when one can.
+    def check_speed(self, tdb_s: float, fix: Fix) -> str:
+        """Describe why no craft can have reached a fix since the last one; empty when one can.
 
         Too fast is twice the speed that escapes the body from the lower of both places, and more
         than any craft comes with from elsewhere.
@@ -77,15 +73,16 @@ class History:
         since = tdb_s - last_s
         before = self._motion.body_from_inertial(last_s).T @ last.position_m
         now = self._motion.body_from_inertial(tdb_s).T @ fix.position_m
-        away = float(np.linalg.norm(now - before))
+        distance = float(np.linalg.norm(now - before))
         covariances = fix.covariance_m2, last.covariance_m2
         sigma = float(np.sqrt(sum(np.linalg.eigvalsh(each)[-1] for each in covariances)))
         lower = min(float(np.linalg.norm(before)), float(np.linalg.norm(now)))
         escape = float(np.sqrt(2.0 * self._motion.body.gm_m3_s2 / lower))
-        max_speed = max(MAX_ESCAPES * escape, MAX_FAR_M_S)
-        if away - GATE_SIGMAS * sigma <= max_speed * max(since, 0.0):
+        # Far from the body a craft comes with a speed of its own, up to 3 km/s.
+        max_speed = max(2.0 * escape, 3000.0)
+        if distance - 5.0 * sigma <= max_speed * max(since, 0.0):
             return ""
-        return f"{away / 1e3:.0f} km from the fix {since:.0f} s before"
+        return f"{distance / 1e3:.0f} km from the fix {since:.0f} s before"
 
     def is_consistent(self, tdb_s: float, fix: Fix) -> bool:
         """Whether a fix agrees with the arc, and with the last fix and a possible speed."""
@@ -94,18 +91,18 @@ class History:
             offset = fix.position_m - predicted.position_m
             if squared_distance(offset, fix.covariance_m2 + predicted.covariance_m2) >= GATE:
                 return False
-        return not self.exceeds_max_speed(tdb_s, fix)
+        return not self.check_speed(tdb_s, fix)
 
     def remember(self, tdb_s: float, fix: Fix, source: str) -> None:
         """Keep a fix for other cameras at the same time; of two at one time the sharper."""
-        known = self.at_same_time(tdb_s)
+        known = self.find_at_same_time(tdb_s)
         if known is not None and np.trace(known.covariance_m2) <= np.trace(fix.covariance_m2):
             return
         self._last = tdb_s, PositionPrior(fix.position_m, fix.covariance_m2, source)
 
 
 class UnseenPast(History):
-    """The past of a frame that is looked at ahead of time: nothing is known, nothing contradicts.
+    """The past of a frame processed ahead of time: nothing is known, nothing contradicts.
 
     has_twin  whether a frame before is of the same time: its fix would come first
     """
@@ -114,7 +111,7 @@ class UnseenPast(History):
         super().__init__(motion)
         self._has_twin = has_twin
 
-    def at_same_time(self, tdb_s: float) -> PositionPrior | None:
+    def find_at_same_time(self, tdb_s: float) -> PositionPrior | None:
         if self._has_twin:
             raise NeedsPastError
         return None

@@ -1,8 +1,10 @@
-"""What a run navigates by: the points of its catalogs and the body's relief."""
+"""Inputs of a run: the points of its catalogs, the body's relief, an orbit as prior of frames."""
 
+import logging
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,11 @@ from catalog.store.reader import Catalog
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.relief.sums import load_relief
 from optnav_cli.control_points.field import ControlPointField, PointLayer
+from optnav_cli.fix import PositionPrior
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.run_settings import RUN_TOML
+from optnav_cli.orbit.fit.folder import ORBIT_CSV, ORBIT_TOML, read_orbit, stated_turn
+from optnav_cli.orbit.fit.predict import OrbitPath
 
 
 @contextmanager
@@ -32,24 +39,24 @@ def open_catalogs(paths: Sequence[Path]) -> Iterator[list[Catalog]]:
 
 
 def open_field(catalogs: Sequence[Catalog], body: Body) -> ControlPointField | None:
-    """The usable control points of catalogs, the first given before the others; None without any.
+    """Open the usable control points of catalogs, the first given before others; None without.
 
     Raises DataError for a catalog of another body or without usable points.
     """
-    layers = [_layer(catalog, body) for catalog in catalogs]
+    layers = [_make_layer(catalog, body) for catalog in catalogs]
     return ControlPointField(layers) if layers else None
 
 
 def open_ground(catalogs: Sequence[Catalog], body: Body) -> ControlPointField | None:
-    """The same with all points that have patches: ground to cut windows from."""
-    layers = [_layer(catalog, body, whole=True) for catalog in catalogs]
+    """Open all points that have patches: ground to cut windows from."""
+    layers = [_make_layer(catalog, body, all_points=True) for catalog in catalogs]
     return ControlPointField(layers) if layers else None
 
 
-def whole_relief(
+def choose_relief(
     catalogs: Sequence[Catalog], named: Path | None, body: Body
 ) -> GlobalRelief | None:
-    """The body's relief for the horizon: of the named terrain model, else the finest carried one.
+    """Choose the body's relief: the named terrain model, else the finest that a catalog carries.
 
     None where there is none. Raises DataError for a damaged one or a model of a part of the body.
     """
@@ -59,9 +66,9 @@ def whole_relief(
     return min(carried, key=lambda relief: relief.posting_m, default=None)
 
 
-def _layer(catalog: Catalog, body: Body, *, whole: bool = False) -> PointLayer:
+def _make_layer(catalog: Catalog, body: Body, *, all_points: bool = False) -> PointLayer:
     meta, usable = catalog.meta, catalog.usable
-    if whole:
+    if all_points:
         usable = catalog.records["levels"] > 0
     if meta.body != body.name:
         raise DataError(
@@ -87,3 +94,49 @@ def _layer(catalog: Catalog, body: Body, *, whole: bool = False) -> PointLayer:
         meta.planes,
         tuple(by_source[source] for source in stated),
     )
+
+
+SOURCE = "orbit"  # what solution.csv calls the prior
+
+log = logging.getLogger(__name__)
+
+
+def list_orbit_files(folder: Path) -> list[Path]:
+    """List the files of an orbit's folder that priors are made from."""
+    return [folder / name for name in (ORBIT_TOML, ORBIT_CSV, RUN_TOML)]
+
+
+def add_orbit_priors(frames: Sequence[Frame], body: Body, folder: Path) -> list[Frame]:
+    """Add the priors that an orbit predicts to frames with a time and without a position.
+
+    Raises DataError for a folder that holds no orbit about the body.
+    """
+    orbit = read_orbit(folder)
+    if orbit.body.name != body.name:
+        raise DataError(
+            f"{folder}: is an orbit about {orbit.body.name}; the pictures show {body.name}: name "
+            "an orbit about it"
+        )
+    path = OrbitPath(orbit)
+    open_s = [f.tdb_s for f in frames if f.position_m is None and f.tdb_s is not None]
+    if not open_s:
+        log.info("%s: each frame states its position, so the orbit is not used", folder)
+    prediction = path.rows(np.unique(open_s))
+    if prediction.meeting:
+        log.warning("%s: %s; later frames have no prior", folder, prediction.meeting)
+    rows, priors = prediction.rows, {}
+    for time, state, spread in zip(rows.times, rows.states, rows.covariances, strict=True):
+        turn = stated_turn(orbit.ephemeris, float(time))
+        covariance = turn @ spread[:3, :3] @ turn.T
+        frame = body.catalog_frame  # that of files, which catalogs may lie beside
+        priors[float(time)] = PositionPrior(
+            frame.transform_to_catalog(turn @ state[:3]),
+            frame.transform_covariance_to_catalog(covariance),
+            SOURCE,
+        )
+    return [
+        frame
+        if frame.position_m is not None or frame.tdb_s is None
+        else replace(frame, predicted=priors.get(frame.tdb_s))
+        for frame in frames
+    ]

@@ -32,21 +32,13 @@ from optnav_cli.fix import MatchRow, Method, Solution
 from optnav_cli.frames.orbit_tables import ZENITH
 from optnav_cli.frames.points import POINTS_CSV
 from optnav_cli.frames.run_settings import RUN_TOML
+from optnav_cli.navigate.answers import FrameRecord, FrameTask, make_empty_record, unpack_row
 from optnav_cli.navigate.autonomous import Navigator
 from optnav_cli.navigate.descent.navigator import DescentMemory, DescentNavigator
 from optnav_cli.navigate.history import SAME_TIME_S
-from optnav_cli.navigate.orbit_prior import orbit_inputs
-from optnav_cli.navigate.worker import (
-    FrameRecord,
-    FrameTask,
-    FrameWorker,
-    RunInputs,
-    in_order,
-    look_at,
-    unpacked_row,
-    unseen_record,
-)
-from optnav_cli.navigate.zenith_file import zenith_rows
+from optnav_cli.navigate.inputs import list_orbit_files
+from optnav_cli.navigate.worker import FrameWorker, RunInputs, look_at, order_frames
+from optnav_cli.navigate.zenith_file import make_zenith_rows
 from optnav_cli.orbit.fit.zenith import ZENITH_CSV
 from optnav_cli.output.manifest import (
     hash_files,
@@ -75,8 +67,6 @@ log = logging.getLogger(__name__)
 
 KIND, STAGE = "run", "navigate"
 LENS_SHARE = 1e-3  # a focal length from a data sheet is seldom nearer
-# A worker process takes as long to start as about so many frames to navigate.
-MIN_FRAMES_A_WORKER = 8
 
 
 def navigate_folder(
@@ -101,14 +91,14 @@ def navigate_folder(
     started = datetime.now(UTC)
     if scheduler is not None:
         check_address(scheduler)
-    worker = FrameWorker(given if scheduler is None else given.absolute())
-    check_apart(run, worker.files())
+    worker = FrameWorker(given if scheduler is None else given.make_absolute())
+    check_apart(run, worker.list_files())
     try:
         with log_stage(STAGE), open_workspace(run, KIND) as workspace:
             folder = worker.folder
             log.info("rotation of the %s and its Sun by %s", folder.body.name, folder.motion.name)
-            inputs = _inputs(worker, given)
-            key = _key(worker, given, inputs)
+            inputs = _describe_inputs(worker, given)
+            key = _compute_key(worker, given, inputs)
             if is_finished(run, key):
                 log.info("%s: is there already, from the same inputs", run)
                 solutions = read_run(run).solutions
@@ -116,20 +106,21 @@ def navigate_folder(
                     log.debug("%s", describe(row), extra=row.event(STAGE, 0.0))
             else:
                 if workers is None:
-                    most = max(1, len(folder.frames) // MIN_FRAMES_A_WORKER)
+                    # A worker process takes as long to start as eight frames to navigate.
+                    most = max(1, len(folder.frames) // 8)
                     workers = min(count_cores(), most)
                 crew = make_workers(workers)
                 if scheduler is not None:
-                    crew = start_cluster_workers(scheduler, worker.files())
+                    crew = start_cluster_workers(scheduler, worker.list_files())
                 try:
                     job = _Run(worker, workspace, key, crew)
-                    with replace_folder(run, KIND) as place:
-                        solutions = job.write(place, progress)
+                    with replace_folder(run, KIND) as partial:
+                        solutions = job.write(partial, progress)
                         write_manifest(
-                            place,
+                            partial,
                             KIND,
                             command="navigate",
-                            options=_options(given),
+                            options=_list_options(given),
                             inputs=inputs,
                             results={
                                 "frames": len(solutions),
@@ -150,14 +141,14 @@ def navigate_folder(
     return solutions
 
 
-def _distance_m(row: Solution) -> float:
-    """How far the camera is from its picked points, on average."""
+def _measure_distance_m(row: Solution) -> float:
+    """Measure the camera's mean distance to its picked points, m."""
     places = np.array([match.cp_position_m for match in row.evidence.matches])
     return float(np.linalg.norm(places - row.position_m, axis=1).mean())
 
 
-def _exact_lens_words(camera: str, distances_m: list[float]) -> str:
-    """What an error of a focal length that counts as exact would do to picked points' positions."""
+def _describe_exact_lens(camera: str, distances_m: list[float]) -> str:
+    """Describe what a focal length error would do to positions by picked points."""
     low, high = (LENS_SHARE * value for value in (min(distances_m), max(distances_m)))
     shown = f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} to {high:.3g}"
     return (
@@ -168,7 +159,7 @@ def _exact_lens_words(camera: str, distances_m: list[float]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class FlownSoFar:
-    """How many frames of a descent are done, and what the next ones need of them."""
+    """Number of frames of a descent that are done, and the memory that the next ones need."""
 
     frames: int
     memory: DescentMemory | None = None
@@ -182,21 +173,23 @@ class _Run:
     ) -> None:
         self._worker, self._workers = worker, workers
         self._frames = worker.folder.frames
-        self._order = list(in_order(worker.folder))
+        self._order = list(order_frames(worker.folder))
         self._landmarks: list[LandmarkRow] | None = None
         self._results = ChunkResults(workspace, STAGE, key, FrameRecord)
         workspace.keep_only(STAGE, {key})
 
     def write(self, place: Path, progress: Progress) -> list[Solution]:
-        """Fill a run folder but for its manifest; the rows in the order of frames.csv."""
+        """Write a run folder but for its manifest; return the rows in the order of frames.csv."""
         worker, folder = self._worker, self._worker.folder
         copy_inputs(folder.path, folder.settings, place)
         (place / OVERLAYS).mkdir()
         rows: dict[int, Solution] = {}
         sights: dict[str, list[float]] = {}
         names, relief = sorted(folder.cameras), worker.inputs.relief
-        with Recording(place / RECORDING, folder.body, relief, names, self._about()) as recording:
-            for number, row, record in self._in_time_order(progress):
+        with Recording(
+            place / RECORDING, folder.body, relief, names, self._describe_recording()
+        ) as recording:
+            for number, row, record in self._process_in_time_order(progress):
                 frame, seen = self._frames[number], row.evidence
                 camera = folder.cameras.get(frame.camera)
                 undrawn = record.undrawn
@@ -211,20 +204,20 @@ class _Run:
                 if record.details:
                     log.debug("%s: %s", row.file, record.details)
                 if row.method is Method.PICKED_POINTS and row.position_m is not None:
-                    sights.setdefault(frame.camera, []).append(_distance_m(row))
+                    sights.setdefault(frame.camera, []).append(_measure_distance_m(row))
                 level = logging.DEBUG if row.solved else logging.WARNING
                 log.log(level, "%s", describe(row), extra=row.event(STAGE, record.seconds))
                 bare = replace(seen, matches=(), outline=None)
                 rows[number] = replace(row, outcome=replace(row.outcome, evidence=bare))
         for name, distances in sights.items():
             if folder.cameras[name].focal_length_error == 0.0:
-                log.warning("%s", _exact_lens_words(name, distances))
+                log.warning("%s", _describe_exact_lens(name, distances))
         solutions = [rows[number] for number in range(len(self._frames))]
         write_solutions(place / SOLUTION, solutions, folder.attitude)
-        zenith = zenith_rows(folder, solutions)
+        zenith = make_zenith_rows(folder, solutions)
         if zenith:
             ZENITH.write(place / ZENITH_CSV, zenith)
-        write_matches(place / MATCHES, self._matches())
+        write_matches(place / MATCHES, self._read_matches())
         if self._landmarks is not None:
             write_landmarks(place / LANDMARKS, self._landmarks, folder.attitude)
         points = worker.inputs.points
@@ -232,14 +225,16 @@ class _Run:
             log.warning("control point %d is left out: %s", point_id, reason)
         return solutions
 
-    def _in_time_order(self, progress: Progress) -> Iterator[tuple[int, Solution, FrameRecord]]:
-        """Place in frames.csv, row and record of each frame, as soon as those before are done."""
-        descent = self._worker.descent()
+    def _process_in_time_order(
+        self, progress: Progress
+    ) -> Iterator[tuple[int, Solution, FrameRecord]]:
+        """Yield index in frames.csv, row and record of each frame, once those before are done."""
+        descent = self._worker.make_descent()
         if descent is not None:
-            yield from self._flown(descent, progress)
+            yield from self._process_descent(descent, progress)
             return
         navigator = Navigator(self._worker.inputs)
-        tasks, next_one = self._tasks(), 0
+        tasks, next_one = self._make_tasks(), 0
         waiting: set[int] = set()
         with progress.stage(STAGE, len(tasks), "frame") as bar:
             made = self._results.make(
@@ -250,14 +245,14 @@ class _Run:
                     waiting.add(position)
                     while next_one in waiting:
                         waiting.remove(next_one)
-                        row, record = self._finished(next_one, tasks[next_one], navigator)
+                        row, record = self._finish_frame(next_one, tasks[next_one], navigator)
                         yield self._order[next_one], row, record
                         next_one += 1
 
-    def _flown(
+    def _process_descent(
         self, descent: DescentNavigator, progress: Progress
     ) -> Iterator[tuple[int, Solution, FrameRecord]]:
-        """The same of a descent, each frame of which needs those before."""
+        """Process a descent, each frame of which needs those before."""
         results, count = self._results, len(self._order)
         # beside the frames' files: what the frames to come need of those that are done
         memory = ChunkResults(results.workspace, STAGE, results.key, FlownSoFar)
@@ -269,11 +264,11 @@ class _Run:
             bar.keep(len(kept))
             for position, number in enumerate(self._order):
                 if position < len(kept):
-                    yield number, unpacked_row(kept[position].row), kept[position]
+                    yield number, unpack_row(kept[position].row), kept[position]
                     continue
-                _, record = self._worker.finish(self._frames[number], descent, unseen_record())
+                _, record = self._worker.finish(self._frames[number], descent, make_empty_record())
                 results.workspace.put(results.name(position), encode_records([record]))
-                done = encode_records([FlownSoFar(position + 1, descent.memory())])
+                done = encode_records([FlownSoFar(position + 1, descent.save_memory())])
                 results.workspace.put(memory.name(count), done)
                 # goes on from the same arrays as a run that was stopped here: a sum over another
                 # order of memory differs in its last digit
@@ -281,33 +276,33 @@ class _Run:
                 if read.memory is not None:
                     descent.restore(read.memory)
                 bar.advance()
-                yield number, unpacked_row(record.row), record
+                yield number, unpack_row(record.row), record
         self._landmarks = [
             LandmarkRow(
-                one.number,
-                one.first_file,
-                one.last_file,
-                one.n_seen,
-                one.place_m,
-                one.covariance_m2,
-                one.reason,
+                landmark.number,
+                landmark.first_file,
+                landmark.last_file,
+                landmark.n_seen,
+                landmark.place_m,
+                landmark.covariance_m2,
+                landmark.reason,
             )
-            for one in descent.landmarks
+            for landmark in descent.landmarks
         ]
 
-    def _finished(
+    def _finish_frame(
         self, position: int, task: FrameTask, navigator: Navigator
     ) -> tuple[Solution, FrameRecord]:
         records = self._results.read(position)
-        found: FrameRecord = records[0] if records else self._worker.look(task)
-        row, record = self._worker.finish(task.frame, navigator, found)
-        if record is not found or not records:
+        seen: FrameRecord = records[0] if records else self._worker.look(task)
+        row, record = self._worker.finish(task.frame, navigator, seen)
+        if record is not seen or not records:
             name = self._results.name(position)
             self._results.workspace.put(name, encode_records([record]))
         return row, record
 
-    def _tasks(self) -> list[FrameTask]:
-        """The frames in the order of time."""
+    def _make_tasks(self) -> list[FrameTask]:
+        """Make a task for each frame in the order of time."""
         tasks, last = [], None
         for number in self._order:
             frame = self._frames[number]
@@ -317,8 +312,8 @@ class _Run:
             last = last if now is None else now
         return tasks
 
-    def _matches(self) -> Iterator[MatchRow]:
-        """All control points tried, frame by frame in the order of frames.csv."""
+    def _read_matches(self) -> Iterator[MatchRow]:
+        """Read all control points tried, frame by frame in the order of frames.csv."""
         points = self._worker.inputs.points
         for position in sorted(range(len(self._order)), key=self._order.__getitem__):
             records = self._results.read(position)
@@ -327,13 +322,13 @@ class _Run:
                     f"{self._results.workspace.folder}: results vanished or were damaged; give the "
                     "same command again"
                 )
-            for match in unpacked_row(records[0].row).evidence.matches:
+            for match in unpack_row(records[0].row).evidence.matches:
                 if points and match.reason_code == ReasonCode.DAMAGED_PATCH:
                     points.reference(points.index_of(match.catalog, match.cp_id))  # notes why
                 yield match
 
-    def _about(self) -> dict[str, str]:
-        """The metadata of the recording."""
+    def _describe_recording(self) -> dict[str, str]:
+        """Return the metadata of the recording."""
         worker = self._worker
         relief = worker.inputs.relief
         return {
@@ -347,12 +342,12 @@ class _Run:
         }
 
 
-def _options(given: RunInputs) -> dict[str, Any]:
+def _list_options(given: RunInputs) -> dict[str, Any]:
     return {"matcher": given.matcher, "config": msgspec.to_builtins(given.settings)}
 
 
-def _inputs(worker: FrameWorker, given: RunInputs) -> dict[str, Any]:
-    """What goes into a run, for its manifest."""
+def _describe_inputs(worker: FrameWorker, given: RunInputs) -> dict[str, Any]:
+    """Describe the inputs of a run for its manifest."""
     folder = worker.folder
     usable = (frame.file for frame in folder.frames if frame.problem is None)
     cameras = (f"{CAMERAS}/{name}.toml" for name in folder.cameras)
@@ -360,7 +355,7 @@ def _inputs(worker: FrameWorker, given: RunInputs) -> dict[str, Any]:
     relief = worker.inputs.relief
     orbit: dict[str, Any] = {}
     if given.orbit is not None:
-        names = [path.name for path in orbit_inputs(given.orbit)]
+        names = [path.name for path in list_orbit_files(given.orbit)]
         orbit["orbit"] = {
             "path": str(given.orbit),
             "files_sha256": hash_files(given.orbit, names),
@@ -378,8 +373,8 @@ def _inputs(worker: FrameWorker, given: RunInputs) -> dict[str, Any]:
     }
 
 
-def _key(worker: FrameWorker, given: RunInputs, inputs: dict[str, Any]) -> str:
-    """Hash of all that the rows of a run depend on, and its drawings."""
+def _compute_key(worker: FrameWorker, given: RunInputs, inputs: dict[str, Any]) -> str:
+    """Hash all that the rows and drawings of a run depend on."""
     body, relief = worker.folder.settings.body, worker.inputs.relief
     named = given.kernels
     if is_body_file(body):
@@ -387,7 +382,7 @@ def _key(worker: FrameWorker, given: RunInputs, inputs: dict[str, Any]) -> str:
     states = [catalog.path.stat() for catalog in worker.catalogs]
     return compute_stage_key(
         [hash_package(), hash_package("optnav_cli"), list_versions()],
-        [_options(given), inputs],
+        [_list_options(given), inputs],
         [hash_file(path) for path in named],
         # a catalog may be mended, its digest the same
         [(state.st_size, state.st_mtime_ns) for state in states],

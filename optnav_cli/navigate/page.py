@@ -15,11 +15,11 @@ from catalog.errors import DataError
 from catalog.files import MANIFEST
 from catalog.geometry.rotations import ARCSEC
 from catalog.inputs import read_input
-from optnav_cli.evaluation.figures import method_words
+from optnav_cli.evaluation.figures import describe_method
 from optnav_cli.evaluation.files import EVALUATION_JSON
 from optnav_cli.fix import Solution
 from optnav_cli.frames.tables import COMMON_NUMBERS
-from optnav_cli.navigate.descent.plots import descent_plots, is_descent
+from optnav_cli.navigate.descent.plots import draw_descent, is_descent
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.run_folder import COMMON_CSV, COMMON_JSON, RunFolder, read_run
 from optnav_cli.output.tables import format_fixed
@@ -31,14 +31,12 @@ from optnav_cli.report.pictures import build_pictures
 from optnav_cli.report.svg import HALF, MOST, Plot, PlotAxis, find_span
 
 MAX_DOTS = 4000
-HISTOGRAM_BINS = 24
 IN_KM_M = 10e3  # lengths from here on are written in km
-ROWS_OPEN = 40  # longer tables are folded
 
 
-def residual_plots(run: RunFolder) -> list[Markup]:
-    """Residuals of the kept matches as a cloud, and the scores of kept and refused ones."""
-    residual = _used_residuals(run)
+def draw_residuals(run: RunFolder) -> list[Markup]:
+    """Draw residuals of kept matches as a cloud, and scores of kept and refused ones."""
+    residual = _collect_residuals(run)
     drawings = []
     if len(residual):
         rms = float(np.sqrt(np.mean(residual**2)))
@@ -51,13 +49,13 @@ def residual_plots(run: RunFolder) -> list[Markup]:
         plot.line(rms * np.cos(angle), rms * np.sin(angle), "s2", closed=True)
         drawn = plot.svg("Residuals of the control points used, px")
         words = f"Residuals of the {len(residual)} matches used"
-        rms_words = f"rms a coordinate, {_residual_words(residual)}"
+        rms_words = f"rms a coordinate, {_format_residuals(residual)}"
         drawings.append(html.figure(drawn, words, {"k2": rms_words}))
     scores = [(m.score, m.used) for m in run.matches if m.score is not None]
     if scores:
         values = np.array([score for score, _ in scores])
         kept = np.array([flag for _, flag in scores], dtype=np.bool_)
-        edges = np.linspace(*find_span(values, 0.0), HISTOGRAM_BINS + 1)
+        edges = np.linspace(*find_span(values, 0.0), 24 + 1)
         edges = edges if edges[-1] > edges[0] else edges[0] + np.linspace(-0.5, 0.5, 25)
         below, above = (np.histogram(values[c], edges)[0] for c in (~kept, kept))
         x = PlotAxis((edges[0], edges[-1]), "score")
@@ -71,7 +69,7 @@ def residual_plots(run: RunFolder) -> list[Markup]:
 
 
 def read_evaluation(folder: Path) -> tuple[dict[str, Any] | None, Markup]:
-    """The figures of a run folder and the section about them; None for a run that has none.
+    """Read the figures of a run folder and make their section; None for a run without.
 
     The section of a damaged file says so: the rest of the page stands without it.
     """
@@ -79,24 +77,26 @@ def read_evaluation(folder: Path) -> tuple[dict[str, Any] | None, Markup]:
     if not path.exists():
         return None, Markup()
     try:
-        summary = json.loads(read_input(path), parse_float=_finite, parse_constant=_finite)
-        section = errors_table(summary)
-        _error_tiles(summary)
+        summary = json.loads(
+            read_input(path), parse_float=_parse_finite, parse_constant=_parse_finite
+        )
+        section = make_errors_section(summary)
+        _make_error_tiles(summary)
     except (DataError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         what = f"{EVALUATION_JSON} is damaged ({type(error).__name__}: {error})"
         return None, html.paragraph(f"{what}; run `optnav evaluate` again.", "note")
     return summary, section
 
 
-def _finite(text: str) -> float:
+def _parse_finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"{text} is no finite number")
     return value
 
 
-def errors_table(evaluation: dict[str, Any]) -> Markup:
-    """The section about errors by axis, and by method where there are several."""
+def make_errors_section(evaluation: dict[str, Any]) -> Markup:
+    """Make the section about errors by axis, and by method where there are several."""
     names = {"r": "R (height)", "n": "N (along the motion)", "b": "B (across)"}
     largest = max(evaluation[axis]["max_m"] for axis in names)
     unit, unit_name = (1e3, "km") if largest >= IN_KM_M else (1.0, "m")
@@ -129,22 +129,22 @@ def errors_table(evaluation: dict[str, Any]) -> Markup:
     parts = [html.table(header, rows), *map(html.paragraph, notes)]
     methods = evaluation.get("methods", [])
     if len(methods) > 1:
-        parts.append(_methods_table(methods))
+        parts.append(_make_methods_table(methods))
     return html.section("Against the truth", *parts)
 
 
-def _methods_table(methods: Sequence[dict[str, Any]]) -> Markup:
-    """Bias, sigma and greatest error of each method and camera, and whether it is honest."""
+def _make_methods_table(methods: Sequence[dict[str, Any]]) -> Markup:
+    """Make a table of bias, sigma and greatest error of each method and camera, with NEES."""
     header = ["method", "solved", "R", "N", "B", "range, %", "dir., ″", "in 3 σ", "NEES"]
     rows = []
     for method in methods:
-        name, camera = method_words(method["method"]), method["camera"]
+        name, camera = describe_method(method["method"]), method["camera"]
         inside = method["share_inside_3_sigma"]
         least = min(inside[axis] for axis in "rnb")
         ranges, direction = method["range_rms_percent"], method["direction_rms_arcsec"]
         row = [f"{name}, {camera}" if camera else name]
         row += [f"{method['solved']} of {method['frames_of_camera']}"]
-        row += [_spread(method[axis]) for axis in "rnb"]
+        row += [_format_spread(method[axis]) for axis in "rnb"]
         row += ["" if ranges is None else f"{ranges:.2g}", f"{direction:.3g}"]
         rows.append([*row, f"{100.0 * least:.0f} %", f"{method['normalised_error_squared']:.2f}"])
     note = (
@@ -154,8 +154,8 @@ def _methods_table(methods: Sequence[dict[str, Any]]) -> Markup:
     return html.subsection("By method", html.table(header, rows), html.paragraph(note))
 
 
-def _spread(values: dict[str, float]) -> str:
-    """Bias, sigma and greatest error in one unit."""
+def _format_spread(values: dict[str, float]) -> str:
+    """Format bias, sigma and greatest error in one unit."""
     largest = values["max_m"]
     unit, name = (1e3, "km") if largest >= IN_KM_M else (1.0, "m")
     decimals = 0 if largest / unit >= 100.0 else 1
@@ -166,36 +166,38 @@ def _spread(values: dict[str, float]) -> str:
     return f"{bias} / {sigma} / {most} {name}"
 
 
-def length_words(metres: float) -> str:
-    """A length in m, or in km when it is long; long numbers without decimals."""
+def format_length(metres: float) -> str:
+    """Format a length in m, or in km when it is long; long numbers without decimals."""
     value, unit = (metres / 1e3, "km") if metres >= IN_KM_M else (metres, "m")
     return f"{value:.{0 if value >= 100.0 else 1}f} {unit}"
 
 
-def run_page(folder: Path) -> str:
-    """The HTML page about a run folder. Raises DataError for a folder that is no run."""
+def make_run_page(folder: Path) -> str:
+    """Make the HTML page about a run folder. Raises DataError for a folder that is no run."""
     run = read_run(folder)
     evaluation, against_truth = read_evaluation(folder)
     solved = [solution for solution in run.solutions if solution.solved]
-    sections = [_main_numbers(run, evaluation), against_truth, _common(folder)]
+    sections = [_show_main_numbers(run, evaluation), against_truth, _make_common_section(folder)]
     if solved:
-        sections.append(html.section("Errors and stated sigmas", *_plots(run)))
+        sections.append(html.section("Errors and stated sigmas", *_draw_errors(run)))
         if is_descent(run):
-            sections.append(html.section("Over the height", *_descent(run)))
+            sections.append(html.section("Over the height", *_draw_descent(run)))
         sections.append(html.section("On the ground", plot_ground(run)))
     if is_picked(run):
         sections.append(html.section("Picked points", *plot_picked_points(run)))
     elif any(match.measured_px is not None for match in run.matches):
-        sections.append(html.section("Control points", *residual_plots(run), _refusals(run)))
-    frames = html.section("Frames", _frames(run.solutions))
-    sections += [build_pictures(run), _unsolved(run), frames, _made_from(folder)]
+        sections.append(
+            html.section("Control points", *draw_residuals(run), _make_refusals_table(run))
+        )
+    frames = html.section("Frames", _make_frames_table(run.solutions))
+    sections += [build_pictures(run), _make_unsolved_section(run), frames, _show_manifest(folder)]
     title = f"{run.attitude.body.name.capitalize()}: run {folder.resolve().name}"
     subtitle = f"{len(run.solutions)} frames, {len(solved)} solved. Positions in the body frame."
     return html.build_page(title, subtitle, filter(None, sections))
 
 
-def _common(folder: Path) -> Markup:
-    """What is common to the frames of an adjusted run; nothing for another one."""
+def _make_common_section(folder: Path) -> Markup:
+    """Make the section about parameters common to an adjusted run's frames; else nothing."""
     if not (folder / COMMON_JSON).exists():
         return Markup()
     header = ("common to the frames", "axis", "value", "sigma", "unit", "observed")
@@ -211,7 +213,7 @@ def _common(folder: Path) -> Markup:
             )
             for row in COMMON_NUMBERS.rows(folder / COMMON_CSV)
         ]
-        document = json.loads(read_input(folder / COMMON_JSON), parse_constant=_finite)
+        document = json.loads(read_input(folder / COMMON_JSON), parse_constant=_parse_finite)
         stages = [f"{name} {value:.2f}" for name, value in document["residual_rms_px"].items()]
         notes = [f"{note[:1].upper()}{note[1:]}." for note in document["not_observed"]]
     except (DataError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
@@ -223,36 +225,38 @@ def _common(folder: Path) -> Markup:
     return html.section("Common to the frames", *parts)
 
 
-def _plots(run: RunFolder) -> list[Markup]:
-    """The errors of each frame; with a note, stated sigmas where the stored errors are damaged."""
+def _draw_errors(run: RunFolder) -> list[Markup]:
+    """Draw each frame's errors; stated sigmas, with a note, where stored errors are damaged."""
     try:
         return plot_errors(run)
     except DataError as error:
         return [html.paragraph(str(error), "note"), *plot_errors(run, stated=True)]
 
 
-def _descent(run: RunFolder) -> list[Markup]:
-    """The errors of a descent over its height; stated sigmas where stored errors are damaged."""
+def _draw_descent(run: RunFolder) -> list[Markup]:
+    """Draw a descent's errors over height; stated sigmas where stored errors are damaged."""
     try:
-        return descent_plots(run)
+        return draw_descent(run)
     except DataError:
-        return descent_plots(run, stated=True)
+        return draw_descent(run, stated=True)
 
 
-def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:
+def _show_main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:
     solved = [s for s in run.solutions if s.solved]
     values = [(f"{len(solved)} of {len(run.solutions)}", "frames solved")]
     if evaluation is not None:
-        values += _error_tiles(evaluation)
+        values += _make_error_tiles(evaluation)
     predicted = sum(s.n_predicted or 0 for s in solved)
     if predicted:
         used = sum(s.n_used or 0 for s in solved)
         values.append((f"{100.0 * used / predicted:.1f} %", "of predicted control points used"))
-    residuals = _used_residuals(run)
+    residuals = _collect_residuals(run)
     rms_px = [s.residual_rms_px for s in solved if s.n_used is None]
     limbs = [rms for rms in rms_px if rms is not None]
     if len(residuals):
-        values.append((_residual_words(residuals), "residual of control points, rms a coordinate"))
+        values.append(
+            (_format_residuals(residuals), "residual of control points, rms a coordinate")
+        )
     elif limbs:
         values.append((f"{np.sqrt(np.mean(np.square(limbs))):.2f} px", "residual of the limb, rms"))
     if (run.path / EVALUATION_JSON).exists():
@@ -260,28 +264,28 @@ def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:
     return html.tiles(values) + html.paragraph("Not compared with a truth: see `optnav evaluate`.")
 
 
-def _error_tiles(evaluation: dict[str, Any]) -> list[tuple[str, str]]:
+def _make_error_tiles(evaluation: dict[str, Any]) -> list[tuple[str, str]]:
     nees = f"{evaluation['normalised_error_squared']:.2f}"
     return [
-        (length_words(evaluation["horizontal_rms_m"]), "horizontal error, rms"),
-        (length_words(evaluation["height_rms_m"]), "height error, rms"),
+        (format_length(evaluation["horizontal_rms_m"]), "horizontal error, rms"),
+        (format_length(evaluation["height_rms_m"]), "height error, rms"),
         (nees, "error squared over stated covariance (1 is honest)"),
     ]
 
 
-def _used_residuals(run: RunFolder) -> FloatArray:
-    """Residuals (n, 2), px, of the matches that solutions keep."""
+def _collect_residuals(run: RunFolder) -> FloatArray:
+    """Collect the residuals (n, 2), px, of the matches that solutions keep."""
     used = [m.residual_px for m in run.matches if m.used and m.residual_px is not None]
     residuals = np.array(used, np.float64).reshape(-1, 2)
     return residuals[(np.abs(residuals) < MOST).all(axis=1)]
 
 
-def _residual_words(residuals: FloatArray) -> str:
-    """Their rms: the one figure of the residuals on the page."""
+def _format_residuals(residuals: FloatArray) -> str:
+    """Format the rms of residuals, px."""
     return f"{np.sqrt(np.mean(residuals**2)):.2f} px"
 
 
-def _refusals(run: RunFolder) -> Markup:
+def _make_refusals_table(run: RunFolder) -> Markup:
     reasons = Counter(m.reason_code for m in run.matches if not m.used)
     if not reasons:
         return Markup()
@@ -291,7 +295,7 @@ def _refusals(run: RunFolder) -> Markup:
     return html.table(header, rows[:12], text_columns=2)
 
 
-def _unsolved(run: RunFolder) -> Markup:
+def _make_unsolved_section(run: RunFolder) -> Markup:
     rows = [(s.file, s.utc, s.reason_code.label, s.reason) for s in run.solutions if not s.solved]
     if not rows:
         return Markup()
@@ -300,7 +304,7 @@ def _unsolved(run: RunFolder) -> Markup:
     )
 
 
-def _frames(solutions: Sequence[Solution]) -> Markup:
+def _make_frames_table(solutions: Sequence[Solution]) -> Markup:
     header: tuple[str, ...] = (
         *("file", "UTC", "method", "x, km", "y, km", "z, km", "sigma, m"),
         *("attitude sigma, ″", "rms, px"),
@@ -313,23 +317,24 @@ def _frames(solutions: Sequence[Solution]) -> Markup:
         header += ("limb points", "arc, °")
     rows = []
     for s in solutions:
-        place = ["unsolved", "", ""]
+        position = ["unsolved", "", ""]
         if s.position_m is not None:
-            place = [format_fixed(float(v) / 1e3, 4) for v in s.position_m]
+            position = [format_fixed(float(v) / 1e3, 4) for v in s.position_m]
         sigma = None if s.covariance_m2 is None else float(np.sqrt(np.trace(s.covariance_m2) / 3.0))
         angle = None if s.attitude_sigma_rad is None else s.attitude_sigma_rad / ARCSEC
         counts = ["" if n is None else str(n) for n in (s.n_predicted, s.n_matched, s.n_used)]
-        row = [s.file, s.utc, method_words(s.method) if s.method else "", *place]
+        row = [s.file, s.utc, describe_method(s.method) if s.method else "", *position]
         row += [format_fixed(sigma, 1), format_fixed(angle, 1), format_fixed(s.residual_rms_px, 2)]
         row += counts if points else []
         if limb:
             row += ["" if s.n_limb is None else str(s.n_limb), format_fixed(s.arc_deg, 0)]
         rows.append(row)
     content = html.table(header, rows, text_columns=3)
-    return content if len(rows) <= ROWS_OPEN else html.folded(f"All {len(rows)} frames", content)
+    # Longer tables are folded.
+    return content if len(rows) <= 40 else html.folded(f"All {len(rows)} frames", content)
 
 
-def _made_from(folder: Path) -> Markup:
+def _show_manifest(folder: Path) -> Markup:
     if not (folder / MANIFEST).exists():  # a run put together by hand is still worth a report
         return Markup()
     try:

@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -38,12 +38,25 @@ from optnav_cli.frames.observation import FROM_FILE
 from optnav_cli.frames.picture import LaterPicture, Picture, PictureSizeError, load_frame_picture
 from optnav_cli.frames.points import POINTS_CSV, PickedPoint
 from optnav_cli.frames.run_settings import RUN_TOML, InertialSettings
-from optnav_cli.navigate.answers import Answers, NavigationInputs, Outcome
+from optnav_cli.navigate.answers import (
+    Answers,
+    FrameRecord,
+    FrameTask,
+    NavigationInputs,
+    pack_row,
+    unpack_row,
+)
 from optnav_cli.navigate.autonomous import Navigator
 from optnav_cli.navigate.descent.navigator import DescentNavigator
 from optnav_cli.navigate.history import NeedsPastError, UnseenPast
-from optnav_cli.navigate.inputs import open_catalogs, open_field, open_ground, whole_relief
-from optnav_cli.navigate.orbit_prior import orbit_inputs, with_orbit
+from optnav_cli.navigate.inputs import (
+    add_orbit_priors,
+    choose_relief,
+    list_orbit_files,
+    open_catalogs,
+    open_field,
+    open_ground,
+)
 from optnav_cli.output.canvas import scale_to_eight_bits
 from optnav_cli.output.overlay import encode_overlay, project_patches
 from optnav_cli.output.recording import encode_recorded_image
@@ -55,8 +68,6 @@ from optnav_cli.stars.sky import SkyView, StarSight, find_star_attitude
 STARS = "stars"  # the question of a frame's answers
 REMARKS = "remarks on the picture"  # likewise; kept where there are some
 MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}
-# A patch that takes up more of the picture's width than this is not outlined.
-MAX_OUTLINE = 0.2
 # What numpy, scipy, OpenCV and the system raise for numbers that no check foresaw, little memory
 # or a file that fails: the fault of one frame, and the others go on. A ValueError may also be a bug
 # of ours, so its traceback goes to the details of the log.
@@ -64,52 +75,8 @@ FRAME_FAULTS = (np.linalg.LinAlgError, ArithmeticError, ValueError, cv2.error, M
 
 
 @dataclass(frozen=True)
-class FrameTask:
-    """A frame to look at; has_twin: a frame before it is of the same time."""
-
-    frame: Frame
-    has_twin: bool
-
-
-@dataclass(frozen=True)
-class FrameRecord:
-    """What is kept of a frame.
-
-    answers  of the methods
-    row      as `packed_row` makes it; empty where the frames before must be known
-    settled  whether the row is the same whatever they say
-    image    the picture as it is recorded;  overlay: drawn for this row;  empty for none
-    undrawn  why they are not there, if they should be
-    details  the traceback of what failed, for the log
-    seconds  that were spent on the frame
-    """
-
-    answers: Answers
-    row: bytes
-    settled: bool
-    image: bytes
-    overlay: bytes
-    undrawn: str
-    details: str
-    seconds: float
-
-
-def packed_row(row: Solution) -> bytes:
-    """A row of solution.csv with its evidence as bytes."""
-    outcome = Outcome.of(row.outcome)
-    return pack((row.file, row.utc, outcome, row.prior, row.prior_m, row.attitude_source))
-
-
-def unpacked_row(data: bytes) -> Solution:
-    """The row that `packed_row` was given."""
-    kinds: Any = tuple[str, str, Outcome, str, FloatArray | None, str]
-    file, utc, outcome, prior, prior_m, source = unpack(data, kinds)
-    return Solution(file, utc, outcome.value, prior, prior_m, source)
-
-
-@dataclass(frozen=True)
 class RunInputs:
-    """What a user gives to a run.
+    """Inputs that a user gives to a run.
 
     pictures  the picture folder
     catalogs  the first given has priority where it has points; without any the limb alone serves
@@ -131,8 +98,8 @@ class RunInputs:
         """SPICE kernels."""
         return [Path(name) for name in self.settings.spice.kernels]
 
-    def absolute(self) -> "RunInputs":
-        """The same for processes that work in another folder."""
+    def make_absolute(self) -> "RunInputs":
+        """Make all paths absolute, for processes that work in another folder."""
         relief = None if self.relief is None else resolve_path(str(self.relief), Path.cwd())
         catalogs = [path.absolute() for path in self.catalogs]
         orbit = None if self.orbit is None else self.orbit.absolute()
@@ -141,7 +108,7 @@ class RunInputs:
 
 
 class FrameWorker:
-    """Looks at frames and finishes them; sent to other processes as paths, it opens them there."""
+    """A worker that processes frames; sent to other processes as paths, it opens them there."""
 
     packages: ClassVar = ("optnav_cli",)  # see `catalog.jobs.cluster_node`
 
@@ -155,15 +122,15 @@ class FrameWorker:
     def __reduce__(self) -> tuple[object, ...]:
         return FrameWorker, (self.given,)
 
-    def files(self) -> list[Path]:
-        """Files that a worker elsewhere must see; with those of the folder go its pictures."""
+    def list_files(self) -> list[Path]:
+        """List files that a worker elsewhere must see; with those of the folder go its pictures."""
         given = self.given
         folder = [given.pictures / RUN_TOML, given.pictures / FRAMES]
         folder += [path for path in [given.pictures / POINTS_CSV] if path.exists()]
         relief = [] if given.relief is None else [given.relief]
-        orbit = [] if given.orbit is None else orbit_inputs(given.orbit)
-        own = given.settings.stars.catalogue
-        stars = [] if own is None else [Path(own)]
+        orbit = [] if given.orbit is None else list_orbit_files(given.orbit)
+        catalogue = given.settings.stars.catalogue
+        stars = [] if catalogue is None else [Path(catalogue)]
         return [*folder, *given.catalogs, *given.kernels, *relief, *orbit, *stars]
 
     @cached_property
@@ -174,7 +141,9 @@ class FrameWorker:
             _ = self._stars  # read here, so that a wrong one ends the run before its first frame
         if self.given.orbit is None:
             return folder
-        return replace(folder, frames=with_orbit(folder.frames, folder.body, self.given.orbit))
+        return replace(
+            folder, frames=add_orbit_priors(folder.frames, folder.body, self.given.orbit)
+        )
 
     @cached_property
     def catalogs(self) -> list[Catalog]:
@@ -183,10 +152,10 @@ class FrameWorker:
 
     @cached_property
     def inputs(self) -> NavigationInputs:
-        """What frames are navigated by."""
+        """Inputs that all frames are navigated with."""
         given, folder = self.given, self.folder
         points = open_field(self.catalogs, folder.body)
-        ground = whole_relief(self.catalogs, given.relief, folder.body)
+        ground = choose_relief(self.catalogs, given.relief, folder.body)
         inertial, matcher = folder.settings.attitude == "camera_from_inertial", given.matcher
         return NavigationInputs(
             points, folder.motion, ground, given.settings, MATCHERS[matcher], inertial
@@ -194,13 +163,13 @@ class FrameWorker:
 
     @cached_property
     def picked(self) -> PickedFrames:
-        """What solves frames whose points were picked."""
+        """Solver of frames whose points were picked."""
         folder = self.folder
         how = self.given.settings.points.construction
         return PickedFrames(folder.attitude, folder.settings.points.filled, how)
 
-    def points_of(self, frame: Frame) -> Sequence[PickedPoint] | None:
-        """The points picked in a frame's picture, which then lead; None: it is navigated without.
+    def find_points(self, frame: Frame) -> Sequence[PickedPoint] | None:
+        """Find the points picked in a frame's picture, which take precedence; None for none.
 
         Without a catalog all frames of a folder with points.csv are solved by these, or not at all.
         """
@@ -209,10 +178,10 @@ class FrameWorker:
             return None
         return points.get(frame.file, ())
 
-    def descent(
+    def make_descent(
         self, track: InertialSettings | None = None, windows_above_m: float = 0.0
     ) -> DescentNavigator | None:
-        """What flies the folder as a descent; None where its frames are not of one track.
+        """Make the navigator of a descent; None where the frames are not of one track.
 
         track  its errors, those of run.toml if None;  windows_above_m  see `DescentNavigator`
         """
@@ -229,12 +198,12 @@ class FrameWorker:
         self._opened.close()
 
     def look(self, task: FrameTask) -> FrameRecord:
-        """All of a frame that needs no other one."""
-        self._begin()
+        """Process all of a frame that needs no other one."""
+        self._start_timing()
         answers: Answers = {}
         past = UnseenPast(self.inputs.motion, has_twin=task.has_twin)
         try:
-            row, failed = self._row(task.frame, Navigator(self.inputs, past), answers)
+            row, failed = self._make_row(task.frame, Navigator(self.inputs, past), answers)
         except NeedsPastError:
             return self._record(task.frame, answers, None, settled=False)
         return self._record(task.frame, answers, row, settled=failed or not answers)
@@ -242,78 +211,78 @@ class FrameWorker:
     def finish(
         self, frame: Frame, navigator: Navigator | DescentNavigator, record: FrameRecord
     ) -> tuple[Solution, FrameRecord]:
-        """A frame's row after those before it, and its record, the same where nothing changed."""
+        """Finish a frame after those before it: row and record, the same where nothing changed."""
         if record.settled:
-            return unpacked_row(record.row), record
-        self._begin(record)
+            return unpack_row(record.row), record
+        self._start_timing(record)
         answers = dict(record.answers)
-        row, failed = self._row(frame, navigator, answers)
-        if packed_row(row) == record.row and answers == record.answers:
+        row, failed = self._make_row(frame, navigator, answers)
+        if pack_row(row) == record.row and answers == record.answers:
             return row, record
         return row, self._record(frame, answers, row, settled=failed, image=record.image)
 
-    def _begin(self, before: FrameRecord | None = None) -> None:
-        """Begin with a frame, or go on with it."""
+    def _start_timing(self, before: FrameRecord | None = None) -> None:
+        """Start the clock of a frame, or continue it."""
         self._details = before.details if before else ""
         self._started = time.monotonic() - (before.seconds if before else 0.0)
 
-    def _row(
+    def _make_row(
         self, frame: Frame, navigator: Navigator | DescentNavigator, answers: Answers
     ) -> tuple[Solution, bool]:
-        """A frame's row, and whether it stands; what is wrong with it becomes a reason."""
-        row, stands = self._answered(frame, navigator, answers)
-        return replace(row, attitude_source=_attitude_source(frame, row)), stands
+        """Make a frame's row, and whether it stands; what is wrong with it becomes a reason."""
+        row, stands = self._solve_frame(frame, navigator, answers)
+        return replace(row, attitude_source=_determine_attitude_source(frame, row)), stands
 
-    def _answered(
+    def _solve_frame(
         self, frame: Frame, navigator: Navigator | DescentNavigator, answers: Answers
     ) -> tuple[Solution, bool]:
         if frame.problem:
-            return _unsolved(frame, ReasonCode.BAD_FRAME, frame.problem), True
+            return _make_unsolved(frame, ReasonCode.BAD_FRAME, frame.problem), True
         camera = self.folder.cameras.get(frame.camera)
         if camera is None:
             text = f"camera '{frame.camera}' is not known"
-            return _unsolved(frame, ReasonCode.UNKNOWN_CAMERA, text), True
+            return _make_unsolved(frame, ReasonCode.UNKNOWN_CAMERA, text), True
         code = ReasonCode.BAD_PICTURE
         try:
-            points = self.points_of(frame)
+            points = self.find_points(frame)
             if points is not None:
                 self._check_size(frame, camera)
                 return self.picked.solve(frame, camera, points), True
-            if not answers and (remarks := self._picture(frame, camera).remarks):
+            if not answers and (remarks := self._load_picture(frame, camera).remarks):
                 answers[REMARKS] = pack(remarks)
             if frame.camera_from_body is None:
-                frame = self._with_stars(frame, camera, answers)
+                frame = self._add_star_attitude(frame, camera, answers)
             code = ReasonCode.BAD_DATA
-            later = LaterPicture(lambda: self._picture(frame, camera))
-            return _remarked(navigator.solve(frame, camera, later, answers), answers), False
+            later = LaterPicture(lambda: self._load_picture(frame, camera))
+            return _add_remarks(navigator.solve(frame, camera, later, answers), answers), False
         except NoSolutionError as error:
-            return _unsolved(frame, ReasonCode(error.code), str(error)), True
+            return _make_unsolved(frame, ReasonCode(error.code), str(error)), True
         except DataError as error:
-            return _unsolved(frame, code, str(error)), True
+            return _make_unsolved(frame, code, str(error)), True
         except FRAME_FAULTS as error:
-            text = self._failure("numerical failure", error)
-            return _unsolved(frame, ReasonCode.NUMERICAL_FAILURE, text), True
+            text = self._describe_failure("numerical failure", error)
+            return _make_unsolved(frame, ReasonCode.NUMERICAL_FAILURE, text), True
 
     @cached_property
     def _stars(self) -> BrightStars:
         """The catalogue of the config, or the stars that ship. Raises DataError."""
-        own = self.given.settings.stars
-        if own.catalogue is None:
+        settings = self.given.settings.stars
+        if settings.catalogue is None:
             return load_bright_stars()
-        return read_star_catalog(Path(own.catalogue), own.epoch)
+        return read_star_catalog(Path(settings.catalogue), settings.epoch)
 
-    def _with_stars(self, frame: Frame, camera: Camera, answers: Answers) -> Frame:
-        """A frame whose attitude is not stated with that of the stars in its picture.
+    def _add_star_attitude(self, frame: Frame, camera: Camera, answers: Answers) -> Frame:
+        """Add the attitude by the stars in its picture to a frame without one.
 
         Raises NoSolutionError where its stars give none.
         """
         if frame.tdb_s is None:
             return frame
-        place = frame.position_m
-        distance = None if place is None else float(np.linalg.norm(place))
+        position = frame.position_m
+        distance = None if position is None else float(np.linalg.norm(position))
         view = SkyView(self.folder.body, frame.tdb_s, distance, self._stars)
         if STARS not in answers:
-            picture = self._picture(frame, camera)
+            picture = self._load_picture(frame, camera)
             answers[STARS] = pack(
                 find_star_attitude(picture.values, picture.saturation, camera, view)
             )
@@ -340,42 +309,42 @@ class FrameWorker:
         settled: bool,
         image: bytes = b"",
     ) -> FrameRecord:
-        """A frame's record with what is drawn of it."""
-        packed, overlay, undrawn = b"" if row is None else packed_row(row), b"", ""
+        """Make a frame's record with its drawings."""
+        packed, overlay, undrawn = b"" if row is None else pack_row(row), b"", ""
         camera = self.folder.cameras.get(frame.camera)
         if camera is not None and not frame.problem:
             try:
-                gray, undrawn = self._shown(frame, camera)
+                gray, undrawn = self._draw_background(frame, camera)
                 image = image or encode_recorded_image(gray, camera)
                 if row is not None:
-                    outlines = _patch_outlines(row, camera, self.inputs.points)
+                    outlines = _draw_patch_outlines(row, camera, self.inputs.points)
                     overlay = encode_overlay(gray, row, outlines)
             except DataError:  # its row says so
                 pass
             except FRAME_FAULTS as error:
-                undrawn = self._failure("cannot be drawn", error)
+                undrawn = self._describe_failure("cannot be drawn", error)
         seconds = round(time.monotonic() - self._started, 3)
         return FrameRecord(
             answers, packed, settled, image, overlay, undrawn, self._details, seconds
         )
 
-    def _failure(self, what: str, error: BaseException) -> str:
-        """What failed, in words; the traceback goes to the details of the log."""
+    def _describe_failure(self, what: str, error: BaseException) -> str:
+        """Describe a failure; the traceback goes to the details of the log."""
         self._details += "".join(traceback.format_exception(error))
         lines = str(error).splitlines()
         return f"{what} ({type(error).__name__}{': ' if lines else ''}{lines[0] if lines else ''})"
 
-    def _shown(self, frame: Frame, camera: Camera) -> tuple[ByteArray, str]:
-        """What a frame's row is drawn on: its picture; black where picked points need none.
+    def _draw_background(self, frame: Frame, camera: Camera) -> tuple[ByteArray, str]:
+        """Return the picture a row is drawn on; black where picked points need none.
 
         Also why a picture that is there is not shown.
         """
         try:
-            return scale_to_eight_bits(self._picture(frame, camera).values), ""
+            return scale_to_eight_bits(self._load_picture(frame, camera).values), ""
         except PictureSizeError:
             raise
         except DataError as error:
-            if self.points_of(frame) is None:
+            if self.find_points(frame) is None:
                 raise
             there = picture_path(self.folder.path, frame.file).exists()
             return np.zeros(camera.shape, np.uint8), f"not shown: {error}" if there else ""
@@ -386,20 +355,20 @@ class FrameWorker:
         Its pixels are not those of the camera. It needs no picture, nor one that can be read.
         """
         try:
-            self._picture(frame, camera)
+            self._load_picture(frame, camera)
         except PictureSizeError:
             raise
         except DataError:
             pass
 
-    def _picture(self, frame: Frame, camera: Camera) -> Picture:
-        """A frame's picture; the last one is at hand. Raises DataError."""
+    def _load_picture(self, frame: Frame, camera: Camera) -> Picture:
+        """Load a frame's picture; the last one is cached. Raises DataError."""
         path, file = self.folder.path, frame.file
         return self._pictures.get(file, lambda: load_frame_picture(path, file, camera))
 
 
-def _remarked(row: Solution, answers: Answers) -> Solution:
-    """A row with the remarks on its picture."""
+def _add_remarks(row: Solution, answers: Answers) -> Solution:
+    """Add the remarks on its picture to a row."""
     if REMARKS not in answers:
         return row
     text = "; ".join(unpack(answers[REMARKS], tuple[str, ...]))
@@ -409,18 +378,13 @@ def _remarked(row: Solution, answers: Answers) -> Solution:
     )
 
 
-def unseen_record() -> FrameRecord:
-    """The record of a frame that was not looked at ahead of time."""
-    return FrameRecord({}, b"", False, b"", b"", "", "", 0.0)
-
-
 def look_at(worker: FrameWorker, tasks: Sequence[FrameTask]) -> list[FrameRecord]:
-    """Records of some frames."""
+    """Process frames; return their records."""
     return [worker.look(task) for task in tasks]
 
 
-def in_order(folder: Folder) -> Iterator[int]:
-    """Places of the frames in the order to navigate them: by time, the widest camera first.
+def order_frames(folder: Folder) -> Iterator[int]:
+    """Order the frames to navigate: by time, the widest camera first; yield their indices.
 
     A frame whose time is not known stays behind the one before it.
     """
@@ -430,11 +394,11 @@ def in_order(folder: Folder) -> Iterator[int]:
         width = 0.0 if camera is None else camera.width_px / camera.focal_length_px
         last = keys[-1][0] if keys else -np.inf
         keys.append((last if frame.tdb_s is None else frame.tdb_s, -width))
-    yield from sorted(range(len(keys)), key=lambda place: keys[place])
+    yield from sorted(range(len(keys)), key=lambda index: keys[index])
 
 
-def _attitude_source(frame: Frame, row: Solution) -> str:
-    """What the attitude of a solved row is from: of a free one, from what fixed it."""
+def _determine_attitude_source(frame: Frame, row: Solution) -> str:
+    """Determine the source of a solved row's attitude; for a free one, what fixed it."""
     fix = row.fix
     if fix is None or fix.camera_from_body is None:
         return ""
@@ -444,14 +408,14 @@ def _attitude_source(frame: Frame, row: Solution) -> str:
     return "points" if by_points and frame.attitude_sigma_rad is None else FROM_FILE
 
 
-def _unsolved(frame: Frame, code: ReasonCode, text: str) -> Solution:
+def _make_unsolved(frame: Frame, code: ReasonCode, text: str) -> Solution:
     return Solution(frame.file, frame.utc, NoFix(Reason(code, text)))
 
 
-def _patch_outlines(
+def _draw_patch_outlines(
     row: Solution, camera: Camera, points: ControlPointField | None
 ) -> dict[tuple[str, int], list[FloatArray]]:
-    """Outlines in the picture of the patches that were tried, by catalog and id."""
+    """Draw outlines of the patches that were tried in the picture, by catalog and id."""
     fix, outlines = row.fix, {}
     if fix is None or fix.camera_from_body is None or points is None:
         return {}
@@ -463,8 +427,9 @@ def _patch_outlines(
         if reference is None:
             continue
         distance = float(np.linalg.norm(points.xyz_m[index] - fix.position_m))
-        most = MAX_OUTLINE * (distance / camera.focal_length_px * camera.width_px)
-        sizes = [s for s in points.half_sizes_m(index, match.level) if 2.0 * s <= most]
+        # A patch wider than a fifth of the picture is not outlined.
+        most = 0.2 * (distance / camera.focal_length_px * camera.width_px)
+        sizes = [s for s in points.list_half_sizes_m(index, match.level) if 2.0 * s <= most]
         projection = reference.projection
         height = float(projection.height_of(reference.point.xyz_m))
         pose = fix.position_m, fix.camera_from_body

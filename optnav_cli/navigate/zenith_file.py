@@ -1,8 +1,8 @@
 """zenith.csv of a run: zenith distances of stars from pictures with a limb and a known sky.
 
-The limb tells where the body's centre lies, the stars how the camera is turned: both together are
-the vertical against the stars. The body's rotation has no part in it, so its error is taken out
-again of the covariances.
+The limb gives the direction to the body's centre, the stars the camera's attitude: together they
+give the vertical against the stars. The body's rotation has no part in it, so its error is removed
+from the covariances.
 """
 
 from collections.abc import Sequence
@@ -22,14 +22,9 @@ from optnav_cli.orbit.fit.folder import stated_turn
 from optnav_cli.orbit.fit.zenith import zenith_distances, zenith_row
 from optnav_cli.stars.zenith_pair import SightPlace, choose_zenith_pair, list_navigation_stars
 
-LIMB = (Method.HORIZON, Method.HORIZON_SPHERE)
-STARS = "stars"
-# Of the directions' second moment: below it the pictures do not tell the orbit's plane.
-FLAT = 1e-4
 
-
-def zenith_rows(folder: Folder, solutions: Sequence[Solution]) -> list[dict[str, object]]:
-    """The rows of zenith.csv, in the order of time; none where no picture is fit for them.
+def make_zenith_rows(folder: Folder, solutions: Sequence[Solution]) -> list[dict[str, object]]:
+    """Make the rows of zenith.csv in the order of time; none where no picture is suitable.
 
     solutions  a row for each frame of the folder
     """
@@ -38,37 +33,39 @@ def zenith_rows(folder: Folder, solutions: Sequence[Solution]) -> list[dict[str,
         for frame, solution in zip(folder.frames, solutions, strict=True)
         if frame.tdb_s is not None and _is_fit(folder, solution)
     ]
-    seen.sort(key=lambda one: one[0])
+    seen.sort(key=lambda sight: sight[0])
     if not seen:
         return []
-    places = np.array([_inertial(folder, solution, time)[0] for time, _, solution in seen])
-    pole = _pole(places)
+    places = np.array(
+        [_convert_to_inertial(folder, solution, time)[0] for time, _, solution in seen]
+    )
+    pole = _find_pole(places)
     catalog, numbers = load_bright_stars(), list_navigation_stars()
     rows: list[dict[str, object]] = []
     before: float | None = None
-    for (time, frame, solution), place in zip(seen, places, strict=True):
+    for (time, frame, solution), position in zip(seen, places, strict=True):
         if time == before:
             continue  # a second picture of the same time: a star twice would be two measurements
         before = time
         directions = catalog.propagate(time)[numbers]
         where = SightPlace(
-            place,
+            position,
             folder.body.radius_m,
             folder.motion.sun_inertial(time),
-            _neighbours(folder, time),
+            _list_neighbours(folder, time),
         )
         chosen = choose_zenith_pair(where, pole, directions)
-        rows += _rows(frame, directions[chosen], _inertial(folder, solution, time))
+        rows += _make_rows(frame, directions[chosen], _convert_to_inertial(folder, solution, time))
     return rows
 
 
-def _rows(
-    frame: Frame, directions: FloatArray, place: tuple[FloatArray, FloatArray]
+def _make_rows(
+    frame: Frame, directions: FloatArray, fix: tuple[FloatArray, FloatArray]
 ) -> list[dict[str, object]]:
-    """Of the stars (n, 3) of a picture, by its place and covariance."""
-    many = np.broadcast_to(place[0], directions.shape)
+    """Make rows of the stars (n, 3) of a picture from its position and covariance."""
+    many = np.broadcast_to(fix[0], directions.shape)
     values, slopes, _ = zenith_distances(many, directions)
-    sigmas = np.sqrt(((slopes @ place[1]) * slopes).sum(axis=1))
+    sigmas = np.sqrt(((slopes @ fix[1]) * slopes).sum(axis=1))
     return [
         zenith_row(frame.utc, direction, float(value), float(sigma))
         for direction, value, sigma in zip(directions, values, sigmas, strict=True)
@@ -78,41 +75,46 @@ def _rows(
 def _is_fit(folder: Folder, solution: Solution) -> bool:
     """Whether a picture has the limb and an attitude against the stars."""
     stated = folder.settings.attitude == "camera_from_inertial"
-    known = solution.attitude_source == STARS or (stated and solution.attitude_source == FROM_FILE)
-    return solution.solved and solution.method in LIMB and known
+    known = solution.attitude_source == "stars" or (
+        stated and solution.attitude_source == FROM_FILE
+    )
+    return solution.solved and solution.method in (Method.HORIZON, Method.HORIZON_SPHERE) and known
 
 
-def _inertial(folder: Folder, solution: Solution, time: float) -> tuple[FloatArray, FloatArray]:
-    """Place (3,), m, and covariance (3, 3) by the limb and the stars alone, inertial."""
+def _convert_to_inertial(
+    folder: Folder, solution: Solution, time: float
+) -> tuple[FloatArray, FloatArray]:
+    """Convert a fix to inertial axes: position (3,), m, and covariance of limb and stars alone."""
     position, covariance = solution.position_m, solution.covariance_m2
     if position is None or covariance is None:
         raise DataError(f"{solution.file}: a solved row has no position")
     frame = folder.attitude.places
     turn = stated_turn(folder.motion, time)
-    place = turn.T @ frame.transform_to_stated(position)
-    whole = turn.T @ frame.transform_covariance_to_stated(covariance) @ turn
-    # what the body's rotation added when the place was turned to the body's axes
-    across = float(place @ place) * np.eye(3) - np.outer(place, place)
+    position = turn.T @ frame.transform_to_stated(position)
+    total = turn.T @ frame.transform_covariance_to_stated(covariance) @ turn
+    # what the body's rotation added when the position was turned to the body's axes
+    across = float(position @ position) * np.eye(3) - np.outer(position, position)
     rotation = (folder.motion.error_m(time) / folder.body.radius_m) ** 2
-    own = whole - rotation * across
-    values, axes = np.linalg.eigh(own)
-    least = 1e-4 * float(np.linalg.eigvalsh(whole)[0])
-    return place, (axes * np.maximum(values, least)) @ axes.T
+    limb_covariance = total - rotation * across
+    values, axes = np.linalg.eigh(limb_covariance)
+    least = 1e-4 * float(np.linalg.eigvalsh(total)[0])
+    return position, (axes * np.maximum(values, least)) @ axes.T
 
 
-def _pole(places: FloatArray) -> FloatArray:
-    """(3,) of the plane of places (n, 3); of few or of one line the one nearest to the z axis."""
+def _find_pole(places: FloatArray) -> FloatArray:
+    """Find the pole (3,) of the plane of positions (n, 3); if ambiguous, nearest to the z axis."""
     ups = places / np.linalg.norm(places, axis=1, keepdims=True)
     moments, axes = np.linalg.eigh(ups.T @ ups / len(ups))
-    if moments[1] > FLAT and moments[0] < 0.1 * moments[1]:
+    # Below a second moment of 1e-4 the pictures do not show the orbit's plane.
+    if moments[1] > 1e-4 and moments[0] < 0.1 * moments[1]:
         normal: FloatArray = axes[:, 0]
         return normal
     east = np.cross((0.0, 0.0, 1.0), ups[0])
     return unit(np.cross(ups[0], east)) if np.linalg.norm(east) > 1e-6 else np.array([1.0, 0, 0])
 
 
-def _neighbours(folder: Folder, time: float) -> FloatArray:
-    """(n, 3) places of the bright bodies near this one."""
+def _list_neighbours(folder: Folder, time: float) -> FloatArray:
+    """Return positions (n, 3) of the bright bodies near this one."""
     body = folder.body
     names = [*NEIGHBOURS.get(body.name, ()), *([body.orbit.around] if body.orbit else [])]
     places = [folder.motion.position_m(name, time) for name in names]

@@ -15,8 +15,8 @@ from markupsafe import Markup
 from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
-from optnav_cli.evaluation.figures import method_rank, method_words
-from optnav_cli.evaluation.files import EVALUATION_CSV, ErrorRow, read_error_rows, stated_rows
+from optnav_cli.evaluation.figures import describe_method, rank_method
+from optnav_cli.evaluation.files import EVALUATION_CSV, ErrorRow, make_stated_rows, read_error_rows
 from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.report.page import figure, side_by_side
 from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
@@ -69,7 +69,7 @@ class Frames:
     def series(self) -> list[tuple[str, str]]:
         """Methods and cameras of the solved frames, from afar to near."""
         keys = {(row.method, row.camera) for row in self.rows if row.solved}
-        return sorted(keys, key=lambda key: (*method_rank(key[0]), key[1]))
+        return sorted(keys, key=lambda key: (*rank_method(key[0]), key[1]))
 
     def select(self, method: str, camera: str) -> IndexArray:
         """Select a series' solved frames, by index."""
@@ -111,7 +111,7 @@ def collect_frames(run: RunFolder, stated: bool = False) -> Frames:
     stated  whether to draw what the solutions state even where the run was compared with a truth
     """
     path = run.path / EVALUATION_CSV
-    rows = read_error_rows(path) if path.exists() and not stated else stated_rows(run)
+    rows = read_error_rows(path) if path.exists() and not stated else make_stated_rows(run)
     rows, x, time_s, x_label = _order_by_time(rows)
     none = np.full(3, np.nan)
     error = np.array([none if row.error_rnb_m is None else row.error_rnb_m for row in rows])
@@ -291,7 +291,7 @@ def _draw_marks(
     for method, camera in frames.series:
         series, shape = frames.choose_sign(method, camera)
         places = frames.select(method, camera)
-        titles = [f"{frames.rows[i].file}, {method_words(method)}" for i in places]
+        titles = [f"{frames.rows[i].file}, {describe_method(method)}" for i in places]
         plot.marks(x[places], y[places], series, shape, titles=titles)
         far = places[outside[places]] if frames.compared else places[:0]
         names = [f"{frames.rows[i].file}, outside 3 sigmas" for i in far]
@@ -307,7 +307,7 @@ def _list_legend(frames: Frames) -> list[LegendEntry]:
     for method, camera in frames.series:
         series, shape = frames.choose_sign(method, camera)
         of_camera = sum(row.camera == camera for row in frames.rows)
-        name = method_words(method) + (f", {camera}" if camera else "")
+        name = describe_method(method) + (f", {camera}" if camera else "")
         words = f"{name}: {len(frames.select(method, camera))} of {of_camera}"
         entries.append(LegendEntry(series, words, shape, line=False))
     if (np.abs(frames.error) > 3.0 * frames.sigma).any():

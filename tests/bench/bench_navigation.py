@@ -16,7 +16,7 @@ from catalog.pipeline import build
 from catalog.progress import SilentProgress
 from catalog.store.reader import Catalog
 from optnav_cli.archives.job import ImportOptions, import_folder
-from optnav_cli.control_points.expectation import FrameContext, expected
+from optnav_cli.control_points.expectation import FrameContext, find_expected
 from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.control_points.point_match import MatchGates, match_point
@@ -212,14 +212,14 @@ def test_a_control_point_over_all_levels(scene, matcher):
         MATCHERS[matcher],
     )
     pose = Pose(solved.position_m, solved.camera_from_body)
-    view = expected(context, pose, whole=True)
+    view = find_expected(context, pose, whole=True)
     middle = int(np.argmin(np.linalg.norm(view.pixels - camera.width_px / 2.0, axis=1)))
     reference = scene.points.reference(int(view.index[middle]))
     sample = float(view.metres_per_pixel[middle])
     levels = range(len(reference.patches))
 
     def plan(level):
-        template = context.template_nodes(reference.patches[level].posting_m, sample, 0.0)
+        template = context.choose_template_nodes(reference.patches[level].posting_m, sample, 0.0)
         room = COARSEST_NODES if level >= levels[-2] else NEXT_NODES
         return SearchPlan(level, template, room, sample)
 

@@ -20,9 +20,9 @@ from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.hazard.drawing import draw_overview
 from optnav_cli.hazard.ground_view import look_down
 from optnav_cli.hazard.hazard_map import map_hazard
+from optnav_cli.hazard.output import draw_overview
 from optnav_cli.hazard.settings import HazardSettings
 from optnav_cli.output.canvas import scale_to_eight_bits
 from optnav_cli.output.overlay import RESIDUALS_ENLARGED, draw_overlay, project_patches

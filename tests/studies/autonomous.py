@@ -23,7 +23,7 @@ from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.terrain.dem.file import resolve_path
 from optnav_cli.camera.camera import Camera
-from optnav_cli.evaluation.figures import FrameError, figures_of
+from optnav_cli.evaluation.figures import FrameError, compute_figures
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.truth import Truth, read_truth
 from tests.studies import flights
@@ -204,7 +204,7 @@ def _row_cells(result: LoopResult) -> tuple[Cell, ...]:
     limits = (result.limit_m, result.row.height_m)
     if not solved:
         return (*start, None, limits[0], None, limits[1], None, None)
-    f = figures_of(result.frames)
+    f = compute_figures(result.frames)
     errors = (f.horizontal_rms_m, limits[0], f.height_rms_m, limits[1])
     return (*start, *errors, f.nees, max(flights.sigmas_off(frame) for frame in solved))
 

@@ -19,7 +19,7 @@ from optnav_cli.calibration.adjustment import Adjustment, adjust
 from optnav_cli.calibration.separability import find_inseparable
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.estimation.models.common import Common
-from optnav_cli.evaluation.figures import figures_of, none_solved
+from optnav_cli.evaluation.figures import compute_figures, make_unsolved_figures
 from tests.studies import flights
 from tests.studies.calibration_pictures import PictureRoute, picture_route
 from tests.studies.calibration_routes import OFF, Route, simulated_route
@@ -262,7 +262,11 @@ def _drawn(drawn: PictureRoute) -> list[StudyTable]:
     runs: list[tuple[Cell, ...]] = []
     for name, evaluation in (("camera as told", drawn.old), ("camera as calibrated", drawn.new)):
         solved = any(frame.error_rnb_m is not None for frame in evaluation.frames)
-        f = figures_of(evaluation.frames) if solved else none_solved(evaluation.frames)
+        f = (
+            compute_figures(evaluation.frames)
+            if solved
+            else make_unsolved_figures(evaluation.frames)
+        )
         runs.append((name, f.solved, f.frames, f.horizontal_rms_m, f.height_rms_m, f.nees))
     return [
         StudyTable("A route through drawn pictures: the numbers", FOUND, tuple(rows)),

@@ -22,7 +22,7 @@ from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC
 from catalog.geometry.vectors import unit
 from catalog.progress import Progress
-from optnav_cli.evaluation.figures import FrameError, figures_of
+from optnav_cli.evaluation.figures import FrameError, compute_figures
 from optnav_cli.fix import Fix
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.run_settings import FileAttitude
@@ -168,7 +168,7 @@ def _cells(result: CaseResult) -> tuple[Cell, ...]:
     begin = (case.name, len(solved), len(frames), case.solved_percent)
     if not solved:
         return (*begin, *[None] * (len(COLUMNS) - len(begin) - 1), "none solved")
-    f = figures_of(frames)
+    f = compute_figures(frames)
     shares = [float(f.error_rnb_m[0]) / f.distance_m for f in solved if f.error_rnb_m is not None]
     held_back = [one.nees / 3.0 for one in solved if one.nees and one.file in result.held_back]
     return (

@@ -34,18 +34,18 @@ from optnav_cli.navigate.descent.errors import (
     DescentErrorSizes,
     WindowGround,
     WindowSpread,
-    same_level,
-    shipped_sizes,
-    window_ground,
+    load_descent_sizes,
+    make_window_ground,
+    match_levels,
 )
 from optnav_cli.navigate.descent.filter import GATE
-from optnav_cli.navigate.descent.state import sunward_shift_px
+from optnav_cli.navigate.descent.state import compute_sunward_shift_px
 from optnav_cli.navigate.descent.windows import (
     WindowField,
     WindowKey,
     choose_windows,
+    compute_overlap,
     match_window,
-    overlap,
 )
 from optnav_cli.navigate.inputs import open_ground
 from optnav_cli.navigate.worker import FrameWorker, RunInputs
@@ -101,23 +101,23 @@ class FlightErrors:
         grounds = [self.grounds[k] for k in self.of_window[first]]
         level = self.by_ground[first] @ np.array([ground.axes[:, :2] for ground in grounds])
         off = np.linalg.pinv(level) @ missed[first, :, None]
-        spreads = [ground.level_m2(sizes) for ground in grounds]
+        spreads = [ground.compute_level_m2(sizes) for ground in grounds]
         widest = np.array([stays + SCALES[-1] * scaled for stays, scaled in spreads])
         squares = (off * np.linalg.solve(widest, off)).sum(axis=(1, 2))
-        return WindowSpread().with_windows(grounds, squares, float(SCALES[-1]), sizes).scale
+        return WindowSpread().add_windows(grounds, squares, float(SCALES[-1]), sizes).scale
 
     def errors(self, sizes: DescentErrorSizes) -> tuple[FloatArray, FloatArray]:
         """What was missed (2 n,), px, and its covariance (2 n, 2 n) by some sizes."""
         missed = self.missed_px - sizes.sunward_postings * self.sunward_px
         scale = self.scale(sizes)
-        errors = [ground.error(sizes, scale) for ground in self.grounds]
+        errors = [ground.compute_error(sizes, scale) for ground in self.grounds]
         common, own = (
             (self.by_ground @ np.array(roots)[self.of_window]).reshape(-1, 3)
             for roots in zip(*((error.common_m, error.own_m) for error in errors), strict=True)
         )
         ties = self.overlaps[np.ix_(self.of_window, self.of_window)]
         keys = [ground.key for ground in self.grounds]
-        level = same_level(keys, keys)[np.ix_(self.of_window, self.of_window)]
+        level = match_levels(keys, keys)[np.ix_(self.of_window, self.of_window)]
         covariance = (common @ common.T) * np.kron(level, np.ones((2, 2)))
         covariance += (own @ own.T) * np.kron(ties, np.ones((2, 2)))
         fresh = sizes.fresh_px**2 * np.eye(2) + scale * sizes.fresh_share * self.left_px2
@@ -141,7 +141,7 @@ def run(
     held = _gathered(folder, HELD, HELD_WRONG, rows, progress)
     if not fit:
         raise NothingToDoError(f"no flight to fit with is called '{rows}'")
-    old = shipped_sizes()
+    old = load_descent_sizes()
     new = fitted(fit, old)
     if output is not None:
         text = with_sizes(read_toml_text(resource(FILE)), new)
@@ -195,9 +195,9 @@ def gathered(case: str, pictures: Path, catalog: Path, progress: Progress) -> Fl
                         continue
                     known.append(window.key)
                     if window.key not in grounds:
-                        grounds[window.key] = window_ground(window, match, by_position)
+                        grounds[window.key] = make_window_ground(window, match, by_position)
                     place, posting, sun = window.place_m, window.posting_m, context.sun_body
-                    shift = sunward_shift_px(place, posting, by_position, sun)
+                    shift = compute_sunward_shift_px(place, posting, by_position, sun)
                     left = match.covariance_px2
                     rows.append((window.key, match.pixel - pixel[0], shift, -by_position, left))
                 bar.advance()
@@ -206,13 +206,13 @@ def gathered(case: str, pictures: Path, catalog: Path, progress: Progress) -> Fl
     if not rows:
         raise NothingToDoError(f"{case}: no window was found")
     keys = list(grounds)
-    overlaps = np.array([[overlap(one, other) for other in keys] for one in keys])
+    overlaps = np.array([[compute_overlap(one, other) for other in keys] for one in keys])
     numbers: IndexArray = np.array([keys.index(row[0]) for row in rows])
     parts = (np.array(part, np.float64) for part in list(zip(*rows, strict=True))[1:])
     missed, shifts, by_ground, left = parts
     known_grounds = list(grounds.values())
     flight = FlightErrors(case, known_grounds, overlaps, numbers, missed, shifts, by_ground, left)
-    off, covariance = flight.errors(shipped_sizes())
+    off, covariance = flight.errors(load_descent_sizes())
     each = off.reshape(-1, 2)
     count = len(each)
     own = covariance.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)]
@@ -270,7 +270,7 @@ def fitted(flights: Sequence[FlightErrors], sizes: DescentErrorSizes) -> Descent
 
 def with_sizes(text: str, sizes: DescentErrorSizes) -> str:
     """The text of the shipped sizes' file with other values, to two digits; comments stay."""
-    old, lines = shipped_sizes(), []
+    old, lines = load_descent_sizes(), []
     for line in text.splitlines():
         name, _, _ = line.partition(" = ")
         if name in old.__struct_fields__ and getattr(sizes, name) != getattr(old, name):

@@ -139,7 +139,7 @@ def fly(
         track = InertialSettings(acceleration_sigma_m_s2=acceleration_m_s2)
         times = tuple(truth.tdb_s - truths[0].tdb_s for truth in truths)
         places, turns = track_errors(track, times, seed)
-        navigator = worker.descent(track, windows_above_m)
+        navigator = worker.make_descent(track, windows_above_m)
         if navigator is None:
             raise TypeError(f"{pictures} is no descent")
         found = []

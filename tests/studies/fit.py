@@ -26,16 +26,16 @@ from optnav_cli.control_points.error_model import (
     FILE,
     MatchedPoints,
     PointErrorSizes,
-    scatter_shares,
-    shipped_sizes,
+    compute_scatter_shares,
+    load_error_sizes,
 )
-from optnav_cli.control_points.expectation import FrameContext, expected, select_evenly
+from optnav_cli.control_points.expectation import FrameContext, find_expected, select_evenly
 from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.control_points.solve import (
     MatchedFrame,
+    make_matched_frame,
     match_all,
-    matched_frame,
-    search_from,
+    plan_search,
 )
 from optnav_cli.estimation.least_squares import inverse_of, linearised
 from optnav_cli.estimation.models.points import Pose, predict
@@ -138,7 +138,7 @@ def run(
         held += found[first:]
     if not fit:
         raise NothingToDoError("too few points in the frames to fit with; give more by --frames")
-    old = shipped_sizes()
+    old = load_error_sizes()
     new = fitted(fit, old)
     if output is not None:
         text = with_sizes(read_toml_text(resource(FILE)), new)
@@ -187,17 +187,17 @@ def of_frame(
     picture = PicturePyramid(seen.picture.values)
     context = FrameContext(seen, picture, inputs.points, settings, inputs.matcher)
     pose = Pose(truth.position_m, truth.camera_from_body)
-    view = select_evenly(expected(context, pose, whole=True), settings.solve.max_points)
+    view = select_evenly(find_expected(context, pose, whole=True), settings.solve.max_points)
     if len(view) == 0:
         return None
     covariance = np.diag([SEARCHED_M**2] * 3 + [0.0] * 3)
-    matches, _ = match_all(search_from(context, view, pose, covariance), {})
-    matched = matched_frame(context, view, matches, pose)
+    matches, _ = match_all(plan_search(context, view, pose, covariance), {})
+    matched = make_matched_frame(context, view, matches, pose)
     if matched.errors is None:
         return None
     pixels, _ = predict(seen.camera, pose, matched.sightings.points_body_m)
     frame = TrueFrame(case, matched, pixels)
-    missed, own, common = _errors(frame, shipped_sizes())
+    missed, own, common = _errors(frame, load_error_sizes())
     own = own + np.einsum("nik,njk->nij", common, common)
     good = np.einsum("ni,nij,nj->n", missed, np.linalg.inv(own), missed) < MAX_SIGMAS**2
     return subset(frame, good) if good.sum() >= MIN_POINTS else None
@@ -241,8 +241,8 @@ def _errors(
     That is the covariances of their own errors (n, 2, 2), and one sigma of each error that is
     common to all (n, 2, k).
     """
-    seen, common = frame.matched.weighed(sizes)
-    shares = scatter_shares(frame.matched.errors, sizes)
+    seen, common = frame.matched.weigh(sizes)
+    shares = compute_scatter_shares(frame.matched.errors, sizes)
     errors = errors_of_scatter(seen, factor, *shares)
     if common is not None:
         errors = np.concatenate([errors, common], axis=2)
@@ -267,7 +267,7 @@ def position_nees(frame: TrueFrame, sizes: PointErrorSizes) -> float:
     squares = np.einsum("ni,nij,nj->n", rest, measured.weights, rest)
     factor = variance_factor(squares, missed.size - 3)
     _, _, common = _errors(frame, sizes, factor)
-    seen, _ = frame.matched.weighed(sizes)
+    seen, _ = frame.matched.weigh(sizes)
     step, covariance = with_dependent_errors(
         factor * noise,
         measured._replace(residuals=rest),
@@ -316,7 +316,7 @@ def fitted(frames: Sequence[TrueFrame], sizes: PointErrorSizes) -> PointErrorSiz
 
 def with_sizes(text: str, sizes: PointErrorSizes) -> str:
     """The text of the shipped sizes' file with other values, to two digits; comments stay."""
-    return likelihood.with_numbers(text, numbers(shipped_sizes()), numbers(sizes))
+    return likelihood.with_numbers(text, numbers(load_error_sizes()), numbers(sizes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,14 +29,16 @@ from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.outline.limb.detection import LimbPoints
 from optnav_cli.outline.limb.limb_rays import (
+    FILE,
+    HorizonSizes,
     LimbRays,
     compute_edge_errors,
     compute_rough_errors,
     group_by_sector,
+    load_horizon_sizes,
     make_limb_rays,
 )
 from optnav_cli.outline.limb.relief_skyline import make_relief_skyline
-from optnav_cli.outline.limb.sizes import FILE, HorizonSizes, load_horizon_sizes
 from optnav_cli.outline.limb.skyline import add_limb_errors, fit_repeatedly, select_usable_rays
 from optnav_cli.outline.one_body import detect_limb
 from tests.studies import flights, horizon_flights, likelihood

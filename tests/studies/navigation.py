@@ -24,8 +24,13 @@ from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.error_model import StatedError
-from optnav_cli.evaluation.evaluation import Evaluation, pool
-from optnav_cli.evaluation.figures import Figures, FrameError, figures_of, none_solved
+from optnav_cli.evaluation.evaluation import Evaluation, combine_evaluations
+from optnav_cli.evaluation.figures import (
+    Figures,
+    FrameError,
+    compute_figures,
+    make_unsolved_figures,
+)
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs
@@ -160,7 +165,7 @@ def run(
                     with suppress(NothingToDoError):
                         navigate_folder(RunInputs(pictures, [catalog]), place, progress)
                 parts.append(evaluate_run(place, pictures / "truth.csv"))
-            evaluation = pool(parts)
+            evaluation = combine_evaluations(parts)
             limit = row.horizontal_m
             if star_sensor:
                 limit = flights.limit_with_star_sensor(limit, evaluation.frames)
@@ -259,4 +264,4 @@ def _worst(result: FlightResult) -> float:
 
 def _figures(frames: Sequence[FrameError]) -> Figures:
     solved = any(frame.error_rnb_m is not None for frame in frames)
-    return figures_of(frames) if solved else none_solved(frames)
+    return compute_figures(frames) if solved else make_unsolved_figures(frames)

@@ -19,7 +19,7 @@ from catalog.jobs.usage import Account
 from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress
-from optnav_cli.evaluation.figures import FrameError, figures_of
+from optnav_cli.evaluation.figures import FrameError, compute_figures
 from tests.studies import flights
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms, tally
 
@@ -141,7 +141,7 @@ def _cells(row: PhobosCase, frames: Sequence[FrameError]) -> tuple[Cell, ...]:
     asked = None if row.range_share is None else 100.0 * row.range_share
     if not solved:
         return (*start, None, row.across_m, None, None, None, asked, None, None, "none solved")
-    f = figures_of(frames)
+    f = compute_figures(frames)
     shares = [float(f.error_rnb_m[0]) / f.distance_m for f in solved if f.error_rnb_m is not None]
     errors = (f.horizontal_rms_m, row.across_m, f.horizontal_max_m, f.height_rms_m)
     end = (f.nees, max(map(flights.sigmas_off, solved)), tally([f.solution.method for f in solved]))

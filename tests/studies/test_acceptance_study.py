@@ -77,10 +77,10 @@ def test_a_refusal_by_chance_has_a_margin_below_zero(rough_world, field_of, view
     good = making.right(view, np.random.default_rng(3))
     field = field_of(rough_world)
     solved = making.outcome("rough", good, view, field)
-    limits = gates.acceptance_limits()
+    limits = gates.load_acceptance_limits()
     more = limits.decades.least + solved.margins.chance_decades + 1.0
     limits = structs.replace(limits, decades=structs.replace(limits.decades, least=more))
-    monkeypatch.setattr(gates, "acceptance_limits", lambda: limits)
+    monkeypatch.setattr(gates, "load_acceptance_limits", lambda: limits)
     refused = making.outcome("rough", good, view, field)
     assert (refused.solved, refused.code) == (False, ReasonCode.BY_CHANCE)
     assert refused.margins.chance_decades == pytest.approx(-1.0)

@@ -6,8 +6,8 @@ import pytest
 from catalog.arrays import FloatArray
 from catalog.config import read_toml_text, resource
 from catalog.geometry.latlon import body_from_local
-from optnav_cli.navigate.descent.errors import FILE, WindowGround, shipped_sizes
-from optnav_cli.navigate.descent.windows import STEP, WindowKey, overlap
+from optnav_cli.navigate.descent.errors import FILE, WindowGround, load_descent_sizes
+from optnav_cli.navigate.descent.windows import STEP, WindowKey, compute_overlap
 from tests.studies import descent_fit
 from tests.studies.descent_fit import FlightErrors
 
@@ -47,7 +47,7 @@ def flight(rng: np.random.Generator, sizes: descent_fit.DescentErrorSizes) -> Fl
     shown = FlightErrors(
         "made",
         grounds,
-        np.array([[overlap(a, b) for b in keys] for a in keys]),
+        np.array([[compute_overlap(a, b) for b in keys] for a in keys]),
         of_window,
         np.zeros((len(of_window), 2)),
         np.tile(rng.normal(0.0, 40.0, 2), (len(of_window), 1)),
@@ -89,16 +89,16 @@ def test_a_shift_away_from_the_sun_is_no_wrong_model(calibrated: list[FlightErro
 @pytest.mark.calibration
 def test_the_shipped_sizes_are_the_calibrated_ones(calibrated: list[FlightErrors]) -> None:
     """Halving or doubling any size in the file is less likely than what it was fitted to."""
-    found = descent_fit.drops(calibrated, shipped_sizes())
+    found = descent_fit.drops(calibrated, load_descent_sizes())
     weak = {"common", "sunward_postings"}  # of few flights, and little under these Suns
     for name, (half, twice) in found.items():
         assert twice > 0.0 if name in weak else min(half, twice) > LEAST_DROP, name
     for name, value in CALIBRATED.items():
-        assert 1 / 1.5 < getattr(shipped_sizes(), name) / value < 1.5, name
+        assert 1 / 1.5 < getattr(load_descent_sizes(), name) / value < 1.5, name
 
 
 def test_new_sizes_are_written_into_the_file_of_the_old_ones() -> None:
-    new = descent_fit.scaled(shipped_sizes(), {"common": 1.5})
+    new = descent_fit.scaled(load_descent_sizes(), {"common": 1.5})
     text = read_toml_text(resource(FILE))
     made = descent_fit.with_sizes(text, new)
     changed = [(a, b) for a, b in zip(text.splitlines(), made.splitlines(), strict=True) if a != b]

@@ -17,8 +17,8 @@ from optnav_cli.control_points.error_model import (
     FILE,
     MatchedPoints,
     PointErrorSizes,
-    ground_correlation,
-    shipped_sizes,
+    correlate_ground,
+    load_error_sizes,
 )
 from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.control_points.solve import MatchedFrame
@@ -93,16 +93,16 @@ def frame(
         albedo_postings_m=np.full(POINTS, 474.0) if stated_terrain else None,
     )
     stated = np.tile(stated_px**2 * np.eye(2), (POINTS, 1, 1))
-    own = stated + error_model.own_covariances_px2(points, sizes)
+    own = stated + error_model.compute_point_covariances_px2(points, sizes)
     seen = Sightings(places, pixels, own)
-    scatter = errors_of_scatter(seen, 1.0, *error_model.scatter_shares(points, sizes))
-    common = error_model.common_errors_px(points, sun, sizes)
+    scatter = errors_of_scatter(seen, 1.0, *error_model.compute_scatter_shares(points, sizes))
+    common = error_model.compute_common_errors_px(points, sun, sizes)
     together = np.concatenate([scatter, common], axis=2)
-    correlation = ground_correlation(places, points.sizes_m)
+    correlation = correlate_ground(places, points.sizes_m)
     alike = np.linalg.cholesky(correlation) @ rng.normal(size=(POINTS, 2))
     missed = np.einsum("nij,nj->ni", np.linalg.cholesky(own), alike)
     missed += together @ rng.normal(size=together.shape[2])
-    missed += error_model.bias_px(points, sun, sizes)
+    missed += error_model.compute_bias_px(points, sun, sizes)
     measured = Sightings(places, pixels + missed, stated)
     return fit.TrueFrame("made", MatchedFrame(measured, points, correlation, sun), pixels)
 
@@ -110,7 +110,7 @@ def frame(
 @pytest.fixture(scope="session")
 def known():
     """Sizes, and frames that are missed by them."""
-    sizes = fit.scaled(shipped_sizes(), KNOWN)
+    sizes = fit.scaled(load_error_sizes(), KNOWN)
     rng = np.random.default_rng(7)
     return sizes, [frame(rng, sizes) for _ in range(FRAMES)]
 
@@ -149,7 +149,7 @@ def test_frames_with_wrong_matches_or_few_points_are_left_out(look):
 @pytest.mark.calibration
 def test_sizes_that_frames_were_made_with_are_found_again(known):
     sizes, frames = known
-    found, wanted = fit.numbers(fit.fitted(frames, shipped_sizes())), fit.numbers(sizes)
+    found, wanted = fit.numbers(fit.fitted(frames, load_error_sizes())), fit.numbers(sizes)
     for name in KNOWN:
         assert 1 / 1.5 < found[name] / wanted[name] < 1.5, name
 
@@ -169,7 +169,7 @@ def test_positions_are_off_by_what_the_right_sizes_say(known):
     sizes, frames = known
     nees = np.mean([fit.position_nees(one, sizes) for one in frames])
     assert 0.6 < nees < 1.5
-    assert np.mean([fit.position_nees(one, shipped_sizes()) for one in frames]) > 1.5 * nees
+    assert np.mean([fit.position_nees(one, load_error_sizes()) for one in frames]) > 1.5 * nees
 
 
 @pytest.mark.calibration
@@ -185,8 +185,8 @@ def test_a_shipped_size_of_half_or_twice_the_calibrated_one_is_seen(name):
         del others["common.shift_m"]
         others.pop("terrain.explained", None)
     # shares of the scatter of 16 points are seen when they are ten times as large
-    shipped = fit.scaled(shipped_sizes(), others | {name: 10.0 if "scatter" in name else 1.0})
-    calibrated = fit.scaled(shipped, {name: SIZES[name] / fit.numbers(shipped_sizes())[name]})
+    shipped = fit.scaled(load_error_sizes(), others | {name: 10.0 if "scatter" in name else 1.0})
+    calibrated = fit.scaled(shipped, {name: SIZES[name] / fit.numbers(load_error_sizes())[name]})
     rng = np.random.default_rng(31)
     # the scatter is that of the peaks; the smallest sizes move points by 0.00002 px
     noise_px = 0.5 if "scatter" in name else 1e-7
@@ -200,12 +200,12 @@ def test_a_shipped_size_of_half_or_twice_the_calibrated_one_is_seen(name):
 
 
 def test_a_file_with_other_sizes_loads_and_keeps_its_comments(tmp_path):
-    sizes = fit.scaled(shipped_sizes(), {"own.warped_m": 2.0, "common.shift_px": 0.5})
+    sizes = fit.scaled(load_error_sizes(), {"own.warped_m": 2.0, "common.shift_px": 0.5})
     text = fit.with_sizes(read_toml_text(resource(FILE)), sizes)
     (tmp_path / "sizes.toml").write_text(text, encoding="utf-8")
     found = load_toml(tmp_path / "sizes.toml", PointErrorSizes)
     assert (found.own.warped_m, found.common.shift_px) == (30.0, pytest.approx(0.0022, rel=0.05))
-    assert found.common.height_nodes == shipped_sizes().common.height_nodes
+    assert found.common.height_nodes == load_error_sizes().common.height_nodes
     assert text.startswith(fit.BEGINNING.decode())
     lines = zip(text.splitlines(), read_toml_text(resource(FILE)).splitlines(), strict=True)
     changed = [line.split() for line, was in lines if line != was]

@@ -6,8 +6,13 @@ import pytest
 from catalog.config import read_toml_text, resource
 from catalog.errors import ConfigError, NothingToDoError
 from catalog.progress import SilentProgress
-from optnav_cli.outline.limb.limb_rays import LimbRays, make_limb_rays
-from optnav_cli.outline.limb.sizes import FILE, HorizonSizes, load_horizon_sizes
+from optnav_cli.outline.limb.limb_rays import (
+    FILE,
+    HorizonSizes,
+    LimbRays,
+    load_horizon_sizes,
+    make_limb_rays,
+)
 from tests.optnav_cli.outline.limb.limbs import CAMERA, attitude, grounds, limb_points, place
 from tests.studies import fit, horizon_fit, likelihood
 from tests.studies.horizon_fit import (

@@ -34,7 +34,7 @@ GATE = 16.0
 
 @dataclass(frozen=True)
 class TrackErrors:
-    """What an inertial track is wrong by, 1 sigma.
+    """Errors of an inertial track, 1 sigma.
 
     position_m            at its start, a component
     velocity_m_s          a constant error, a component
@@ -52,14 +52,14 @@ class TrackErrors:
     attitude_noise_rad: float
 
     def covariance(self) -> FloatArray:
-        """(12, 12) of the track's unknowns at its start."""
+        """Return (12, 12) of the track's unknowns at its start."""
         sigmas = self.position_m, self.velocity_m_s, self.attitude_rad, self.attitude_drift_rad_s
         return np.diag(np.repeat(np.square(sigmas), 3)).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Update:
-    """What an update made of a frame's sightings.
+    """Result of an update by a frame's sightings.
 
     used          (n,) which of them it kept
     residuals_px  (n, 2) measured less predicted, after the update
@@ -86,7 +86,7 @@ class DescentFilter:
         self._nominal: FloatArray = np.zeros((0, 3))
 
     def copy(self) -> "DescentFilter":
-        """The same, to try an update on."""
+        """Copy the filter, to try an update on."""
         other = DescentFilter(self._errors)
         other.state, other.covariance = self.state.copy(), self.covariance.copy()
         other._nominal = self._nominal.copy()
@@ -118,13 +118,13 @@ class DescentFilter:
         """(k, 3) of the ground points from where they were when they joined."""
         return self.state[TRACK:].reshape(-1, 3)
 
-    def point_covariance(self, number: int) -> FloatArray:
-        """(3, 3) of a ground point, m^2."""
-        own = slice(TRACK + 3 * number, TRACK + 3 * number + 3)
-        return self.covariance[own, own]
+    def get_point_covariance(self, number: int) -> FloatArray:
+        """Return the covariance (3, 3) of a ground point, m^2."""
+        columns = slice(TRACK + 3 * number, TRACK + 3 * number + 3)
+        return self.covariance[columns, columns]
 
     def propagate(self, seconds: float) -> None:
-        """Carry the errors on over a time."""
+        """Propagate the errors over a time, s."""
         step = np.eye(TRACK)
         step[POSITION, VELOCITY] = step[BIAS, DRIFT] = seconds * np.eye(3)
         self.state[:TRACK] = step @ self.state[:TRACK]
@@ -136,18 +136,18 @@ class DescentFilter:
         self.covariance[VELOCITY, POSITION] += noise * seconds**2 / 2.0
         self.covariance[VELOCITY, VELOCITY] += noise * seconds
 
-    def jumped(self, position_m: float, velocity_m_s: float) -> None:
-        """Forget where the track was to so many m and m/s, 1 sigma a component."""
+    def add_jump(self, position_m: float, velocity_m_s: float) -> None:
+        """Add the uncertainty of a jump of the track, m and m/s, 1 sigma per component."""
         self.covariance[POSITION, POSITION] += position_m**2 * np.eye(3)
         self.covariance[VELOCITY, VELOCITY] += velocity_m_s**2 * np.eye(3)
 
     def pose(self, stated: Pose) -> Pose:
-        """The pose where the track states one."""
+        """Return the corrected pose where the track states one."""
         turn = Rotation.from_rotvec(self.state[BIAS]) * stated.camera_from_body
         return Pose(stated.position_m + self.state[POSITION], turn)
 
-    def pose_covariance(self) -> FloatArray:
-        """(6, 6) of position (m) and attitude (rad), this frame's attitude noise included."""
+    def compute_pose_covariance(self) -> FloatArray:
+        """Compute (6, 6) of position (m) and attitude (rad) with this frame's attitude noise."""
         which = np.r_[POSITION, BIAS]
         covariance: FloatArray = self.covariance[np.ix_(which, which)].copy()
         covariance[3:, 3:] += self._errors.attitude_noise_rad**2 * np.eye(3)
@@ -202,22 +202,22 @@ class DescentFilter:
         by_state[:, BIAS] = moved[:, :, 3:].reshape(-1, 3)
         # the frame's attitude noise moves all of them together
         turns = by_state[:, BIAS]
-        own = self._errors.attitude_noise_rad**2 * turns @ turns.T
+        noise_m2 = self._errors.attitude_noise_rad**2 * turns @ turns.T
         for k in range(count):
             spread = np.zeros((3, 3))
             spread[:2, :2], spread[2, 2] = covariances_px2[k], ground_sigmas_m[k] ** 2
             rows = slice(3 * k, 3 * k + 3)
-            own[rows, rows] += inverse[k] @ spread @ inverse[k].T
-        return self.add_points(places_m, own, by_state)
+            noise_m2[rows, rows] += inverse[k] @ spread @ inverse[k].T
+        return self.add_points(places_m, noise_m2, by_state)
 
     def add_offsets(self, numbers: IndexArray, offsets_m: FloatArray) -> None:
         """Move ground points by (k, 3) m from where they joined: a correlated prior's mean."""
-        self.state[_columns(numbers)] += offsets_m.ravel()
+        self.state[_list_columns(numbers)] += offsets_m.ravel()
 
-    def loosen(self, number: int, covariance_m2: FloatArray) -> None:
-        """Add a (3, 3) covariance to a ground point: its patch was cut anew, with a fresh error."""
-        own = slice(TRACK + 3 * number, TRACK + 3 * number + 3)
-        self.covariance[own, own] += covariance_m2
+    def add_point_noise(self, number: int, covariance_m2: FloatArray) -> None:
+        """Add a (3, 3) covariance to a ground point whose patch was cut again, with a new error."""
+        columns = slice(TRACK + 3 * number, TRACK + 3 * number + 3)
+        self.covariance[columns, columns] += covariance_m2
 
     def keep(self, kept: BoolArray) -> None:
         """Marginalise the ground points that are not kept (k,)."""
@@ -229,13 +229,13 @@ class DescentFilter:
     def predict(
         self, camera: ProjectingCamera, stated: Pose, numbers: IndexArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Pixels (n, 2) of some ground points and the covariance (n, 2, 2) of the prediction."""
+        """Predict pixels (n, 2) of ground points with their covariance (n, 2, 2)."""
         pixels, by_pose = predict(camera, self.pose(stated), self.places_m[numbers])
         rows = _SightingRows(by_pose, numbers)
         noise = self._errors.attitude_noise_rad
         spread = np.empty((len(numbers), 2, 2))
         for k in range(len(numbers)):
-            row = rows.of(k)
+            row = rows.get_row(k)
             wanted = row.columns
             spread[k] = row.values @ self.covariance[np.ix_(wanted, wanted)] @ row.values.T
             spread[k] += noise**2 * by_pose[k, :, 3:] @ by_pose[k, :, 3:].T
@@ -265,7 +265,7 @@ class DescentFilter:
             if kept.size == 0:
                 text = "no window or landmark agrees with the inertial track"
                 raise NoSolutionError(text, ReasonCode.POINTS_DISAGREE)
-            state, covariance, squares = self._updated(
+            state, covariance, squares = self._solve_update(
                 camera, stated, numbers[kept], seen.subset(kept), shared[kept]
             )
             wide = squares > gate
@@ -279,7 +279,7 @@ class DescentFilter:
         all_squares[used] = squares
         return Update(used, seen.pixels - pixels, all_squares)
 
-    def _updated(
+    def _solve_update(
         self,
         camera: ProjectingCamera,
         stated: Pose,
@@ -287,34 +287,34 @@ class DescentFilter:
         seen: Sightings,
         shared_px: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """State, covariance, and the squared normalised residuals (n,) of an update."""
+        """Solve an update: state, covariance, squared normalised residuals (n,)."""
         prior, noise = self.state, self._errors.attitude_noise_rad
         state = prior
         for _ in range(ROUNDS):
             turn = Rotation.from_rotvec(state[BIAS]) * stated.camera_from_body
             pose = Pose(stated.position_m + state[POSITION], turn)
-            places = self._nominal[numbers] + state[_columns(numbers)].reshape(-1, 3)
+            places = self._nominal[numbers] + state[_list_columns(numbers)].reshape(-1, 3)
             pixels, by_pose = predict(camera, pose, places)
             if not np.isfinite(pixels).all():
                 text = "a window or landmark left the camera's view during the update"
                 raise NoSolutionError(text, ReasonCode.NOT_SETTLED)
             rows = _SightingRows(by_pose, numbers)
-            cross = rows.times(self.covariance).T  # (state, 2 n)
+            cross = rows.multiply(self.covariance).T  # (state, 2 n)
             turns = by_pose[:, :, 3:].reshape(-1, 3)
-            own = noise**2 * turns @ turns.T
-            alike = shared_px.reshape(2 * len(numbers), -1)
-            own += alike @ alike.T
+            noise_px2 = noise**2 * turns @ turns.T
+            shared = shared_px.reshape(2 * len(numbers), -1)
+            noise_px2 += shared @ shared.T
             for k, covariance in enumerate(seen.covariances_px2):
-                own[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += covariance
-            total = rows.times(cross) + own
+                noise_px2[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += covariance
+            total = rows.multiply(cross) + noise_px2
             factor = cho_factor(0.5 * (total + total.T))
-            away = (seen.pixels - pixels).ravel() + rows.times((state - prior)[:, None])[:, 0]
-            step = cross @ cho_solve(factor, away)
+            misfits = (seen.pixels - pixels).ravel() + rows.multiply((state - prior)[:, None])[:, 0]
+            step = cross @ cho_solve(factor, misfits)
             state = prior + step
         covariance = self.covariance - cross @ cho_solve(factor, cross.T)
         # a residual after the update has the covariance R S^-1 R
-        left = own @ cho_solve(factor, away)
-        spread = own @ cho_solve(factor, own)
+        left = noise_px2 @ cho_solve(factor, misfits)
+        spread = noise_px2 @ cho_solve(factor, noise_px2)
         count = len(numbers)
         blocks = spread.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)]
         both = left.reshape(-1, 2)
@@ -338,21 +338,21 @@ class _SightingRows:
         self._by_pose, self._by_place = by_pose, -by_pose[:, :, :3]
         self._numbers = numbers
 
-    def of(self, k: int) -> _SightingRow:
-        """Of one sighting."""
-        columns = np.r_[POSITION, BIAS, _columns(self._numbers[k : k + 1])]
+    def get_row(self, k: int) -> _SightingRow:
+        """Return the rows of a sighting."""
+        columns = np.r_[POSITION, BIAS, _list_columns(self._numbers[k : k + 1])]
         return _SightingRow(np.concatenate([self._by_pose[k], self._by_place[k]], axis=1), columns)
 
-    def times(self, matrix: NDArray[np.floating]) -> FloatArray:
-        """The derivative (2 n, state) times a matrix (state, m)."""
+    def multiply(self, matrix: NDArray[np.floating]) -> FloatArray:
+        """Multiply the derivative (2 n, state) by a matrix (state, m)."""
         pose = self._by_pose.reshape(-1, 6)
         product: FloatArray = pose @ matrix[np.r_[POSITION, BIAS]]
-        ground = matrix[_columns(self._numbers)].reshape(len(self._numbers), 3, -1)
+        ground = matrix[_list_columns(self._numbers)].reshape(len(self._numbers), 3, -1)
         product += np.matmul(self._by_place, ground).reshape(product.shape)
         return product
 
 
-def _columns(numbers: IndexArray) -> IndexArray:
-    """(3 k,) columns of ground points in the state."""
+def _list_columns(numbers: IndexArray) -> IndexArray:
+    """List the columns (3 k,) of ground points in the state."""
     columns: IndexArray = (TRACK + 3 * np.asarray(numbers)[:, None] + np.arange(3)).ravel()
     return columns

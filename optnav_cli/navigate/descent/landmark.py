@@ -25,14 +25,11 @@ NODE_PX = 1.25  # pixels of the picture that a node of a new patch spans
 SCALE_PX = 3.0  # of the Hessian
 MIN_SCORE, RIVAL_RATIO = 0.6, 0.9
 MAX_SEARCH_NODES = 14
-# A patch is cut anew when a pixel sees so many times less ground, or from another side.
-REFRESH_GSD, REFRESH_ANGLE = 1.5, np.radians(10.0)
-OUTSIDE = Reason(ReasonCode.OUT_OF_VIEW, "outside the picture")
 
 
 @dataclass(frozen=True, eq=False)
 class LandmarkPatch:
-    """What a picture shows about a ground point.
+    """Picture brightness around a ground point.
 
     brightness  (n, n) on a plane through the point, row 0 north, with MARGIN_NODES about it
     posting_m   between nodes;  axes (2, 3) unit vectors of the columns and of the rows upward
@@ -50,7 +47,8 @@ class LandmarkPatch:
         offset = pose.position_m - place_m
         gsd = float(np.linalg.norm(offset)) / camera.coarse_focal_px
         turned = np.arccos(np.clip(unit(offset) @ self.sight, -1.0, 1.0))
-        return bool(gsd * REFRESH_GSD < self.gsd_m or turned > REFRESH_ANGLE)
+        # A patch is cut again when a pixel sees 1.5 times less ground, or from 10 deg aside.
+        return bool(gsd * 1.5 < self.gsd_m or turned > np.radians(10.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,23 +62,23 @@ class LandmarkMatch:
     runner_up: float | None = None
 
 
-def hessian_determinant(picture: Float32Array, sigma_px: float = SCALE_PX) -> Float32Array:
-    """sigma^4 (I_xx I_yy - I_xy^2) of a picture (height, width) blurred by sigma_px."""
+def compute_hessian_determinant(picture: Float32Array, sigma_px: float = SCALE_PX) -> Float32Array:
+    """Compute sigma^4 (I_xx I_yy - I_xy^2) of a picture (height, width) blurred by sigma_px."""
     soft = cv2.GaussianBlur(np.nan_to_num(picture), (0, 0), sigma_px)
     step = np.array([1.0, -2.0, 1.0], np.float32)
     slope = np.array([-0.5, 0.0, 0.5], np.float32)
-    one = np.ones(1, np.float32)
+    identity = np.ones(1, np.float32)
     xx, yy, xy = (
         cv2.sepFilter2D(soft, cv2.CV_32F, a, b)
-        for a, b in ((step, one), (one, step), (slope, slope))
+        for a, b in ((step, identity), (identity, step), (slope, slope))
     )
-    found: Float32Array = np.float32(sigma_px**4) * (xx * yy - xy * xy)
-    return found
+    determinant: Float32Array = np.float32(sigma_px**4) * (xx * yy - xy * xy)
+    return determinant
 
 
 def choose_pixels(picture: Float32Array, free: BoolArray, border_px: int) -> FloatArray:
-    """The best place (n, 2), x and y, of each square of a picture that is free (rows, cols)."""
-    response = np.abs(hessian_determinant(picture))
+    """Choose the best pixel (n, 2), x and y, of each square of a picture that is free."""
+    response = np.abs(compute_hessian_determinant(picture))
     gaps = np.isnan(picture)
     if gaps.any():  # pixels without a value make edges of their own
         side = 2 * int(np.ceil(3.0 * SCALE_PX)) + 1
@@ -109,14 +107,14 @@ def choose_pixels(picture: Float32Array, free: BoolArray, border_px: int) -> Flo
 def cut_patch(
     picture: PicturePyramid, camera: Camera, pose: Pose, place_m: FloatArray, normal: FloatArray
 ) -> LandmarkPatch | None:
-    """The patch about a place (3,) on a plane of a normal (3,); None where the frame cuts it."""
+    """Cut the patch about a point (3,) on a plane with a normal (3,); None if the frame cuts it."""
     offset = pose.position_m - place_m
     gsd = float(np.linalg.norm(offset)) / camera.coarse_focal_px
     east = unit(np.cross([0.0, 0.0, 1.0], normal))
     axes = np.stack([east, np.cross(normal, east)])
     posting = NODE_PX * gsd
     size = PATCH_NODES + 2 * MARGIN_NODES
-    pixels = _pixels(camera, pose, place_m, axes, posting, size)
+    pixels = _project_nodes(camera, pose, place_m, axes, posting, size)
     brightness = picture.sample(pixels, posting / gsd)
     if not np.isfinite(brightness).all():
         return None
@@ -136,10 +134,10 @@ def match_patch(
     nodes = int(np.ceil(3.5 * sigma_px * gsd / patch.posting_m + 2.0))
     room = min(nodes, MAX_SEARCH_NODES)
     size = PATCH_NODES + 2 * (MARGIN_NODES + room)
-    pixels = _pixels(camera, pose, place_m, patch.axes, patch.posting_m, size)
+    pixels = _project_nodes(camera, pose, place_m, patch.axes, patch.posting_m, size)
     window = picture.sample(pixels, patch.posting_m / gsd)
     if not np.isfinite(window).all():
-        return LandmarkMatch(OUTSIDE)
+        return LandmarkMatch(Reason(ReasonCode.OUT_OF_VIEW, "outside the picture"))
     image = filter_grid_quickly(window, MARGIN_NODES)
     match = match_cut(patch.brightness, window, image, MARGIN_NODES, remainder=True)
     if not np.isfinite(match.covariance).all():
@@ -161,10 +159,10 @@ def match_patch(
     return LandmarkMatch(reason, at, covariance, match.score, match.runner_up)
 
 
-def _pixels(
+def _project_nodes(
     camera: Camera, pose: Pose, place_m: FloatArray, axes: FloatArray, posting_m: float, size: int
 ) -> FloatArray:
-    """Pixels (size, size, 2) of the nodes of a plane about a place; row 0 is its top."""
+    """Project the nodes of a plane about a point to pixels (size, size, 2); row 0 is its top."""
     x, y = make_node_grid(size, posting_m)
     nodes = place_m + x[..., None] * axes[0] + y[..., None] * axes[1]
     turn = pose.turn

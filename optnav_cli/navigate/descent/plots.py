@@ -10,18 +10,19 @@ from optnav_cli.report.error_plots import AXES, collect_frames
 from optnav_cli.report.page import figure, side_by_side
 from optnav_cli.report.svg import NARROW, WIDE, Plot, PlotAxis, find_span
 
-DESCENT_METHODS = (Method.DESCENT, Method.RELATIVE_LANDMARKS)
 HEIGHT = "height above the reference sphere, km"
 COUNTS = (("n_windows", "s1"), ("n_landmarks", "s3"))
 
 
 def is_descent(run: RunFolder) -> bool:
     """Whether a run has frames of a descent."""
-    return any(solution.method in DESCENT_METHODS for solution in run.solutions)
+    return any(
+        solution.method in (Method.DESCENT, Method.RELATIVE_LANDMARKS) for solution in run.solutions
+    )
 
 
-def descent_plots(run: RunFolder, stated: bool = False) -> list[Markup]:
-    """Errors along R, N, B over the height, or stated sigmas without a truth; and the counts.
+def draw_descent(run: RunFolder, stated: bool = False) -> list[Markup]:
+    """Draw errors along R, N, B over height, or stated sigmas without a truth; and counts.
 
     stated  as for `error_plots`, of which the errors raised are the same
     """
@@ -36,10 +37,10 @@ def descent_plots(run: RunFolder, stated: bool = False) -> list[Markup]:
     drawings = []
     for kind, width in (("wider", WIDE), ("narrow", NARROW)):
         plots = [
-            _errors_plot(x, values[:, axis], bound[:, axis], AXES[axis][0], frames.compared, width)
+            _draw_errors(x, values[:, axis], bound[:, axis], AXES[axis][0], frames.compared, width)
             for axis in range(3)
         ]
-        plots.append(_counts_plot(run, width))
+        plots.append(_draw_counts(run, width))
         drawings.append(side_by_side(kind, plots))
     what = "Solution minus truth over the height; bands are 3 stated sigmas"
     if not frames.compared:
@@ -48,7 +49,7 @@ def descent_plots(run: RunFolder, stated: bool = False) -> list[Markup]:
     return [figure(Markup().join(drawings), f"{what}; what each frame's solution keeps.", keys)]
 
 
-def _errors_plot(
+def _draw_errors(
     x: FloatArray, values: FloatArray, bound: FloatArray, letter: str, compared: bool, width: int
 ) -> Markup:
     low, high = (-bound, bound) if compared else (np.zeros_like(values), values)
@@ -65,12 +66,12 @@ def _errors_plot(
     return plot.svg(f"{'Error' if compared else 'Stated sigma'} along {letter} over the height")
 
 
-def _counts_plot(run: RunFolder, width: int) -> Markup:
-    """Windows and landmarks that each frame's solution keeps, over its height."""
+def _draw_counts(run: RunFolder, width: int) -> Markup:
+    """Draw the windows and landmarks that each frame's solution keeps, over its height."""
     radius = run.attitude.body.radius_m
     solved = [s for s in run.solutions if s.position_m is not None]
     places = [s.position_m for s in solved if s.position_m is not None]
-    x = np.array([float(np.linalg.norm(place)) - radius for place in places])
+    x = np.array([float(np.linalg.norm(position)) - radius for position in places])
     x = x / 1e3
     counts = {name: np.array([getattr(s, name) or 0 for s in solved]) for name, _ in COUNTS}
     most = max(float(values.max(initial=1)) for values in counts.values())

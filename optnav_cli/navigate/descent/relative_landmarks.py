@@ -1,4 +1,7 @@
-"""Landmarks of a descent: chosen where no window is, tracked, cut anew, retired with a reason."""
+"""Landmarks of a descent: chosen where no window is, tracked, cut anew, retired with a reason.
+
+Also the sightings of windows and landmarks for an update, and their rows of matches.csv.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +13,9 @@ from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.geometry.vectors import unit
 from optnav_cli.control_points.expectation import FrameContext
+from optnav_cli.control_points.point_match import PointMatch
 from optnav_cli.estimation.models.points import Pose
+from optnav_cli.fix import MatchKind, MatchRow
 from optnav_cli.navigate.descent.landmark import (
     MARGIN_NODES,
     NODE_PX,
@@ -21,17 +26,14 @@ from optnav_cli.navigate.descent.landmark import (
     cut_patch,
     match_patch,
 )
-from optnav_cli.navigate.descent.state import JointState
-from optnav_cli.navigate.descent.windows import WindowField
+from optnav_cli.navigate.descent.state import JointState, Sighting
+from optnav_cli.navigate.descent.windows import SoughtWindow, WindowField, WindowKey
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
-SQUARES, MAX_LANDMARKS = 7, 60
-# Missed in so many pictures in a row it is lost.
-MAX_MISSED = 2
-MAX_EMISSION = np.radians(65.0)
+SQUARES = 7
 # Half the base of the ground's slope about a landmark: postings of the model, or half its patch if
 # that is more. A plane of less ground than its patch shows made matches twice as far off.
-PLANE_POSTINGS, PLANE_NODES = 0.5, 0.5 * PATCH_NODES
+PLANE_NODES = 0.5 * PATCH_NODES
 LOST = Reason(ReasonCode.LOST, "not found in two pictures in a row")
 OUT_OF_VIEW = Reason(ReasonCode.OUT_OF_VIEW, "left the picture")
 
@@ -55,8 +57,8 @@ class Landmark:
     missed: int = 0
     reason: Reason = NO_REASON
 
-    def without_patch(self) -> "Landmark":
-        """The same as far as a retired one is needed: for its row."""
+    def drop_patch(self) -> "Landmark":
+        """Return a copy without its patch: all that a retired one needs for its row."""
         bare = np.zeros((0, 0), np.float32)
         return replace(self, patch=replace(self.patch, brightness=bare))
 
@@ -84,23 +86,23 @@ class LandmarkTracks:
     def search(
         self, frame: FrameContext, stated: Pose, state: JointState, pose: Pose
     ) -> list[SoughtLandmark]:
-        """Look for all landmarks where a state and its pose put them."""
+        """Search all landmarks where a state and its pose predict them."""
         tracked = self.tracked
         if not tracked:
             return []
         numbers = np.array([state.keys.index(landmark.number) for landmark in tracked])
         pixels, spread = state.filter.predict(frame.camera, stated, numbers)
-        found = []
+        sights = []
         for landmark, number, pixel, covariance in zip(
             tracked, numbers, pixels, spread, strict=True
         ):
-            place = state.filter.places_m[number]
+            point = state.filter.places_m[number]
             sigma = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
             match = LandmarkMatch(OUT_OF_VIEW)
             if np.isfinite(pixel).all() and frame.camera.contains(pixel):
-                match = match_patch(landmark.patch, frame.picture, frame.camera, pose, place, sigma)
-            found.append(SoughtLandmark(landmark, match, pixel))
-        return found
+                match = match_patch(landmark.patch, frame.picture, frame.camera, pose, point, sigma)
+            sights.append(SoughtLandmark(landmark, match, pixel))
+        return sights
 
     def settle(
         self,
@@ -113,20 +115,20 @@ class LandmarkTracks:
         """After an update: count what was found, cut patches anew, retire what is lost."""
         pose = state.filter.pose(stated)
         places = state.filter.places_m
-        for one in sought:
-            landmark, match = one.landmark, one.match
+        for sight in sought:
+            landmark, match = sight.landmark, sight.match
             number = state.keys.index(landmark.number)
             landmark.place_m = places[number]
-            landmark.covariance_m2 = _local_covariance(landmark, state)
+            landmark.covariance_m2 = _compute_local_covariance(landmark, state)
             if landmark.number in used:
                 landmark.last_file, landmark.missed = frame.observation.file, 0
                 landmark.n_seen += 1
-                self._refresh(frame, pose, state, number, one)
+                self._update_patch(frame, pose, state, number, sight)
                 continue
             landmark.missed += 1
             if match.reason.code == ReasonCode.OUT_OF_VIEW:
                 landmark.reason = OUT_OF_VIEW
-            elif landmark.missed >= MAX_MISSED:
+            elif landmark.missed >= 2:
                 landmark.reason = LOST
         gone = {landmark.number for landmark in self.all if landmark.reason}
         state.keep({key for key in state.keys if key not in gone})
@@ -139,7 +141,7 @@ class LandmarkTracks:
         windows: WindowField,
         taken_px: FloatArray,
     ) -> None:
-        """New landmarks in the squares of the picture that have neither window nor landmark.
+        """Add landmarks in the squares of the picture that have neither window nor landmark.
 
         taken_px (n, 2) pixels of windows and landmarks that the frame's solution keeps
         """
@@ -149,11 +151,11 @@ class LandmarkTracks:
         if len(taken_px):
             at = np.clip((taken_px / size * SQUARES).astype(int), 0, SQUARES - 1)
             free[at[:, 1], at[:, 0]] = False
-        room = MAX_LANDMARKS - len(self.tracked)
+        room = 60 - len(self.tracked)
         border = int(NODE_PX * (PATCH_NODES / 2 + MARGIN_NODES + 3) * 1.5)
         values = frame.observation.picture.values
         pixels = choose_pixels(values, free, border)[: max(room, 0)]
-        made = [self._made(frame, pose, windows, pixel) for pixel in pixels]
+        made = [self._make_landmark(frame, pose, windows, pixel) for pixel in pixels]
         fresh = [landmark for landmark in made if landmark is not None]
         if not fresh:
             return
@@ -165,41 +167,41 @@ class LandmarkTracks:
         numbers = [landmark.number for landmark in fresh]
         state.add_landmarks(numbers, frame.camera, stated, places, pixel, sigma)
         for landmark in fresh:
-            landmark.covariance_m2 = _local_covariance(landmark, state)
+            landmark.covariance_m2 = _compute_local_covariance(landmark, state)
         self.all += fresh
 
-    def _made(
+    def _make_landmark(
         self, frame: FrameContext, pose: Pose, windows: WindowField, pixel: FloatArray
     ) -> Landmark | None:
-        """A landmark at a pixel; None where its ray meets no known ground or its patch is cut."""
+        """Make a landmark at a pixel; None where its ray meets no known ground or it is cut."""
         ray = frame.camera.unproject(pixel[None]) @ pose.camera_from_body.as_matrix()
         height = 0.0
         for _ in range(4):
             along = distance_to_sphere(pose.position_m, ray, windows.map.radius_m + height)
             if not np.isfinite(along).all():
                 return None
-            place = pose.position_m + float(along[0]) * ray[0]
-            ground = windows.ground_m(place)
+            point = pose.position_m + float(along[0]) * ray[0]
+            ground = windows.ground_m(point)
             if ground is None:
                 return None
             height = ground
-        up = unit(place)
-        sight, distance = unit(pose.position_m - place), np.linalg.norm(pose.position_m - place)
+        up = unit(point)
+        sight, distance = unit(pose.position_m - point), np.linalg.norm(pose.position_m - point)
         posting = NODE_PX * float(distance) / frame.camera.coarse_focal_px
-        normal = self._normal(windows, place, PLANE_NODES * posting)
-        if min(sight @ up, sight @ normal) < np.cos(MAX_EMISSION):
+        normal = self._fit_normal(windows, point, PLANE_NODES * posting)
+        if min(sight @ up, sight @ normal) < np.cos(np.radians(65.0)):
             return None
-        patch = cut_patch(frame.picture, frame.camera, pose, place, normal)
+        patch = cut_patch(frame.picture, frame.camera, pose, point, normal)
         if patch is None:
             return None
         file = frame.observation.file
-        return Landmark(0, file, file, patch, normal, place, np.eye(3))
+        return Landmark(0, file, file, patch, normal, point, np.eye(3))
 
-    def _normal(self, windows: WindowField, place: FloatArray, half_m: float) -> FloatArray:
-        """The normal of so much ground by the model; the radial direction where it ends."""
+    def _fit_normal(self, windows: WindowField, place: FloatArray, half_m: float) -> FloatArray:
+        """Fit the model's ground normal over a base; the radial direction where the model ends."""
         up = unit(place)
         axes = body_from_local(*(float(v) for v in latlon_from_xyz(place)[:2]))
-        base = max(PLANE_POSTINGS * windows.posting_m(0), half_m)
+        base = max(0.5 * windows.posting_m(0), half_m)
         slopes = []
         for axis in (axes[:, 0], axes[:, 1]):
             ends = [windows.ground_m(place + sign * base * axis) for sign in (1.0, -1.0)]
@@ -209,19 +211,19 @@ class LandmarkTracks:
         normal: FloatArray = unit(up - slopes[0] * axes[:, 0] - slopes[1] * axes[:, 1])
         return normal
 
-    def _refresh(
-        self, frame: FrameContext, pose: Pose, state: JointState, number: int, one: SoughtLandmark
+    def _update_patch(
+        self, frame: FrameContext, pose: Pose, state: JointState, number: int, sight: SoughtLandmark
     ) -> None:
-        """Cut a stale patch anew where this picture shows the landmark."""
-        landmark, match = one.landmark, one.match
-        place = landmark.place_m
+        """Replace a stale patch where this picture shows the landmark."""
+        landmark, match = sight.landmark, sight.match
+        point = landmark.place_m
         if match.pixel is None or match.covariance_px2 is None:
             return
-        if not landmark.patch.is_stale(place, frame.camera, pose):
+        if not landmark.patch.is_stale(point, frame.camera, pose):
             return
         # about the pixel that was measured, on the landmark's own plane
         ray = frame.camera.unproject(match.pixel[None])[0] @ pose.camera_from_body.as_matrix()
-        offset = place - pose.position_m
+        offset = point - pose.position_m
         seen = pose.position_m + ray * float(offset @ landmark.normal) / float(
             ray @ landmark.normal
         )
@@ -231,12 +233,101 @@ class LandmarkTracks:
         landmark.patch = patch
         # what this match was off by is off from now on
         spread = patch.gsd_m**2 * 0.5 * float(np.trace(match.covariance_px2))
-        state.filter.loosen(number, spread * np.eye(3))
+        state.filter.add_point_noise(number, spread * np.eye(3))
 
 
-def _local_covariance(landmark: Landmark, state: JointState) -> FloatArray:
-    """(3, 3) of a landmark's place in the state, east, north, up, m^2."""
+def _compute_local_covariance(landmark: Landmark, state: JointState) -> FloatArray:
+    """Compute (3, 3) of a landmark's position in the state, east, north, up, m^2."""
     axes = body_from_local(*(float(v) for v in latlon_from_xyz(landmark.place_m)[:2]))
-    own = state.filter.point_covariance(state.keys.index(landmark.number))
-    covariance: FloatArray = axes.T @ own @ axes
+    body_covariance = state.filter.get_point_covariance(state.keys.index(landmark.number))
+    covariance: FloatArray = axes.T @ body_covariance @ axes
     return covariance
+
+
+def make_sightings(
+    state: JointState,
+    frame: FrameContext,
+    found: Sequence[SoughtWindow],
+    by_position: FloatArray,
+    landmarks: Sequence[SoughtLandmark],
+    scale: float,
+) -> list[Sighting]:
+    """Make the sightings of an update: all windows in their order, then the landmarks."""
+    seen: list[Sighting] = []
+    for sight, rows in zip(found, by_position, strict=True):
+        if sight.match.pixel is not None:
+            pixel = sight.match.pixel - state.compute_sunward_px(sight.window, rows, frame.sun_body)
+            covariance = state.compute_fresh_covariance_px2(sight.match, scale)
+            seen.append(Sighting(sight.window.key, pixel, covariance))
+    fresh = state.sizes.landmark_px**2 * np.eye(2)
+    for track in landmarks:
+        match = track.match
+        if match.pixel is not None and match.covariance_px2 is not None:
+            covariance = fresh + match.covariance_px2
+            seen.append(Sighting(track.landmark.number, match.pixel, covariance))
+    return seen
+
+
+OUTLIER = Reason(ReasonCode.OUTLIER, "disagrees with the others")
+
+
+def make_match_rows(
+    frame: FrameContext,
+    windows: Sequence[SoughtWindow],
+    landmarks: Sequence[SoughtLandmark],
+    used: dict[WindowKey | int, bool],
+    pose: Pose,
+) -> tuple[MatchRow, ...]:
+    """Make the rows of a frame's windows and landmarks.
+
+    used  of those that were found, whether the solution keeps them;  pose  of the solution
+    """
+    rows = []
+    for window in windows:
+        key, point = window.window.key, window.window.place_m
+        good = used.get(key, False)
+        made = _make_row(frame, pose, point, window.match, window.expected_px, good=good)
+        if made is not None:
+            rows.append(replace(made, cp_id=key.number, level=key.level, kind=MatchKind.WINDOW))
+    for sight in landmarks:
+        number, point = sight.landmark.number, sight.landmark.place_m
+        good = used.get(number, False)
+        made = _make_row(frame, pose, point, sight.match, sight.expected_px, good=good)
+        if made is not None:
+            rows.append(replace(made, cp_id=number, kind=MatchKind.LANDMARK))
+    return tuple(rows)
+
+
+def _make_row(
+    frame: FrameContext,
+    pose: Pose,
+    place_m: FloatArray,
+    match: PointMatch | LandmarkMatch,
+    expected_px: FloatArray,
+    *,
+    good: bool,
+) -> MatchRow | None:
+    """Make the row of a point that was searched; None where the pose does not see it."""
+    turn = pose.camera_from_body.as_matrix()
+    predicted = frame.camera.project_from_body(place_m, pose.position_m, turn)
+    if not np.isfinite(predicted).all():
+        return None
+    is_found = match.pixel is not None and not match.reason
+    reason = match.reason or (NO_REASON if good else OUTLIER)
+    sine = float(frame.sun_body @ unit(place_m))
+    return MatchRow(
+        file=frame.observation.file,
+        cp_id=0,
+        level=0,
+        cp_position_m=place_m,
+        predicted_px=predicted,
+        measured_px=match.pixel if is_found else None,
+        score=match.score,
+        runner_up=match.runner_up,
+        used=good,
+        reason=reason.text,
+        sun_elevation_deg=float(np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))),
+        residual_px=match.pixel - predicted if good and match.pixel is not None else None,
+        prior_px=expected_px if np.isfinite(expected_px).all() else None,
+        reason_code=reason.code,
+    )

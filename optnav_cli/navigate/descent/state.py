@@ -22,16 +22,14 @@ from optnav_cli.navigate.descent.errors import (
     DescentErrorSizes,
     WindowError,
     WindowSpread,
-    common_error,
-    common_key,
+    correlate_errors,
     is_common,
-    shipped_sizes,
-    tied_errors,
+    load_descent_sizes,
+    make_common_error,
+    make_common_key,
 )
 from optnav_cli.navigate.descent.filter import GATE, DescentFilter, TrackErrors, Update
 from optnav_cli.navigate.descent.windows import Window, WindowKey
-
-MIN_SUN = np.radians(8.0)  # below it shadows fill the picture and the cotangent runs away
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +41,8 @@ class Sighting:
     covariance_px2: FloatArray
 
 
-def track_sigmas(settings: InertialSettings) -> TrackErrors:
-    """[inertial] in SI units."""
+def convert_track_errors(settings: InertialSettings) -> TrackErrors:
+    """Convert [inertial] to SI units."""
     return TrackErrors(
         settings.position_sigma_m,
         settings.velocity_sigma_m_s,
@@ -60,13 +58,13 @@ class JointState:
 
     def __init__(self, errors: TrackErrors, sizes: DescentErrorSizes | None = None) -> None:
         self.filter = DescentFilter(errors)
-        self.sizes = sizes or shipped_sizes()
+        self.sizes = sizes or load_descent_sizes()
         self.spread = WindowSpread()
         self.keys: list[WindowKey | int] = []
         self._errors: dict[WindowKey, WindowError] = {}
 
     def copy(self) -> "JointState":
-        """The same, to try an update on."""
+        """Copy the state, to try an update on."""
         other = object.__new__(JointState)
         other.filter, other.sizes, other.spread = self.filter.copy(), self.sizes, self.spread
         other.keys, other._errors = list(self.keys), dict(self._errors)
@@ -78,12 +76,12 @@ class JointState:
         return [key for key in self.keys if isinstance(key, WindowKey) and not is_common(key)]
 
     def place_m(self, key: WindowKey | int) -> FloatArray | None:
-        """(3,) where a ground point of the state is by now; None for one that is not in it."""
+        """Return the position (3,) of a ground point of the state; None for one not in it."""
         return self.filter.places_m[self.keys.index(key)] if key in self.keys else None
 
     @property
     def errors(self) -> list[WindowError]:
-        """Of the windows in the state, and of what they have in common, in the order of keys."""
+        """Errors of the windows in the state and of what they share, in the order of keys."""
         return [self._errors[key] for key in self.keys if isinstance(key, WindowKey)]
 
     def restore(
@@ -99,19 +97,19 @@ class JointState:
     def join_windows(self, errors: Sequence[WindowError], places_m: FloatArray) -> None:
         """Add windows at places (k, 3), their errors tied to those that share ground with them."""
         for level in sorted({error.key.level for error in errors}):
-            if common_key(level) not in self.keys:
+            if make_common_key(level) not in self.keys:
                 self.filter.add_points(np.zeros((1, 3)), np.eye(3))
-                self.keys.append(common_key(level))
-                self._errors[common_key(level)] = common_error(level)
+                self.keys.append(make_common_key(level))
+                self._errors[make_common_key(level)] = make_common_error(level)
         known = [number for number, key in enumerate(self.keys) if isinstance(key, WindowKey)]
         old = self.errors
         by_state = np.zeros((3 * len(errors), len(self.filter.state)))
         first = len(self.filter.state) - 3 * self.filter.count
         columns = (first + 3 * np.array(known)[:, None] + np.arange(3)).ravel()
-        across = tied_errors(errors, old)
-        gain = np.linalg.solve(tied_errors(old, old), across.T).T
+        across = correlate_errors(errors, old)
+        gain = np.linalg.solve(correlate_errors(old, old), across.T).T
         by_state[:, columns] = gain
-        of_new = tied_errors(errors, errors) - gain @ across.T
+        of_new = correlate_errors(errors, errors) - gain @ across.T
         mean = gain @ self.filter.state[columns]
         numbers = self.filter.add_points(places_m, 0.5 * (of_new + of_new.T), by_state)
         self.filter.add_offsets(numbers, mean.reshape(-1, 3))
@@ -136,18 +134,18 @@ class JointState:
         self, camera: Camera, stated: Pose, seen: Sequence[Sighting], gate: float = GATE
     ) -> Update:
         """Update by all sightings of a frame. Raises NoSolutionError, the filter as it was."""
-        numbers: IndexArray = np.array([self.keys.index(one.key) for one in seen])
-        pixels = np.array([one.pixel for one in seen])
-        covariances = np.array([one.covariance_px2 for one in seen])
+        numbers: IndexArray = np.array([self.keys.index(sighting.key) for sighting in seen])
+        pixels = np.array([sighting.pixel for sighting in seen])
+        covariances = np.array([sighting.covariance_px2 for sighting in seen])
         places = self.filter.places_m[numbers]
-        is_landmark = np.array([isinstance(one.key, int) for one in seen])
+        is_landmark = np.array([isinstance(sighting.key, int) for sighting in seen])
         # a shift of the camera moves all of them as what their patches have in common does
         pose = self.filter.pose(stated)
         distance = float(np.linalg.norm(places - pose.position_m, axis=1).mean())
         shared = predict(camera, pose, places)[1][:, :, :3] * is_landmark[:, None, None]
         shared = np.nan_to_num(self.sizes.landmark_shift * distance * shared)
-        found = Sightings(places, pixels, covariances)
-        return self.filter.update(camera, stated, numbers, found, shared, gate)
+        points = Sightings(places, pixels, covariances)
+        return self.filter.update(camera, stated, numbers, points, shared, gate)
 
     def keep(self, kept: set[WindowKey | int]) -> None:
         """Marginalise all ground points but some, and what windows have in common."""
@@ -156,30 +154,31 @@ class JointState:
         self.keys = [key for key in self.keys if key in kept]
         self._errors = {key: error for key, error in self._errors.items() if key in kept}
 
-    def fresh_covariance_px2(self, match: PointMatch, scale: float) -> FloatArray:
-        """(2, 2) of a window's match that another frame would not repeat; scale: `WindowSpread`."""
+    def compute_fresh_covariance_px2(self, match: PointMatch, scale: float) -> FloatArray:
+        """Compute (2, 2) of a window's match that is new in each frame; scale: `WindowSpread`."""
         fresh: FloatArray = self.sizes.fresh_px**2 * np.eye(2)
         if match.covariance_px2 is not None:
             fresh = fresh + scale * self.sizes.fresh_share * match.covariance_px2
         return fresh
 
-    def sunward_px(
+    def compute_sunward_px(
         self, window: Window, by_position: FloatArray, sun_body: FloatArray
     ) -> FloatArray:
-        """(2,) by how much a window is found away from the Sun, px; see `sunward_shift_px`."""
-        shift = sunward_shift_px(window.place_m, window.posting_m, by_position, sun_body)
+        """Compute (2,) the window's shift away from the Sun, px; see `compute_sunward_shift_px`."""
+        shift = compute_sunward_shift_px(window.place_m, window.posting_m, by_position, sun_body)
         return self.sizes.sunward_postings * shift
 
 
-def sunward_shift_px(
+def compute_sunward_shift_px(
     place_m: FloatArray, posting_m: float, by_position: FloatArray, sun_body: FloatArray
 ) -> FloatArray:
-    """(2,) of a posting times the cotangent of the Sun's elevation away from the Sun, px.
+    """Compute (2,) a posting times the cotangent of the Sun's elevation, away from the Sun, px.
 
     by_position (2, 3) derivative of a pixel at place_m (3,) by the camera's position
     """
     up = unit(place_m)
-    sine = float(np.clip(sun_body @ up, np.sin(MIN_SUN), 1.0))
+    # Below 8 deg shadows fill the picture and the cotangent runs away.
+    sine = float(np.clip(sun_body @ up, np.sin(np.radians(8.0)), 1.0))
     level = sun_body - (sun_body @ up) * up
     length = float(np.linalg.norm(level))
     if length < 1e-6:

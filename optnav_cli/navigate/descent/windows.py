@@ -31,8 +31,8 @@ from optnav_cli.control_points.point_match import (
     MARGIN_NODES,
     MatchGates,
     PointMatch,
+    count_nodes_per_sample,
     match_point,
-    nodes_a_sample,
 )
 from optnav_cli.control_points.reference import Reference
 from optnav_cli.control_points.search_plan import SearchPlan
@@ -44,22 +44,15 @@ SIDE, MIN_SIDE, MAX_SHARE = 24, 12, 0.6
 STEP = 4  # postings between places of the lattice
 OVERSAMPLED = 2  # nodes of a window a posting of the model
 SOFT_NODES = 0.9
-# A level is used whose posting is so many times the ground that a pixel sees, or more.
-MIN_POSTING_PX = 2.5
 MAX_SEARCH_NODES = 24
 MAX_EMISSION, MIN_SUN = np.radians(60.0), np.radians(3.0)
 SQUARES = 6  # along a side of the picture: one window in each
-FRAME_NODES = 24  # rays along a border that the ground in view is found from
-NEAREST, KEPT_WINDOWS = 16, 500
-REACH_NODES = 110  # of patches that a grid is joined from: half its side and half of theirs
+KEPT_WINDOWS = 500
 SHADOW_NODES, SHADOW_LEVELS = 100, 3  # of the grids about a window that throw shadows into it
-WELL_INSIDE = 8.0  # nodes from a patch's border: then no other patch is needed
 FEW_NODES = 10  # a side of a window, asked first
 MIN_KNOWN = 0.95  # share of a window that the patches must cover
-CELLS = 1.0  # nearest point of the catalog to ground that it has, of its cells
-# See `least_score`: of searches over at most so many nodes to every side, one in a thousand.
-MAX_SCORE, NEAR_NODES, CHANCE = 0.5, 8, 1e-3
-NO_GROUND = Reason(ReasonCode.NO_TERRAIN, "no terrain data")
+# See `compute_min_score`: of searches over at most so many nodes to every side, one in a thousand.
+MAX_SCORE = 0.5
 
 
 class WindowKey(NamedTuple):
@@ -72,7 +65,7 @@ class WindowKey(NamedTuple):
 
     @property
     def number(self) -> int:
-        """The same in one number: matches.csv's id."""
+        """The key as one number: matches.csv's id."""
         row, col = self.row + 50_000, self.col + 50_000
         return ((self.level * 100 + self.side) * 100_000 + row) * 100_000 + col
 
@@ -121,65 +114,70 @@ class WindowField:
         self._windows: Cache[WindowKey, Window | None] = Cache(KEPT_WINDOWS)
 
     def posting_m(self, level: int) -> float:
-        """Of a level of the catalog."""
+        """Return the posting of a level of the catalog, m."""
         return float(self._points.layers[0].postings_m[level])
 
     def window(self, key: WindowKey) -> Window | None:
-        """A window of the lattice; None where the catalog has no ground."""
-        return self._windows.get(key, lambda: self._made(key))
+        """Return a window of the lattice; None where the catalog has no ground."""
+        return self._windows.get(key, lambda: self._make_window(key))
 
     def ground_m(self, place_m: FloatArray) -> float | None:
-        """Height over the sphere of the model at a place (3,); None outside the catalog."""
+        """Return the model's height over the sphere at a point (3,); None outside the catalog."""
         place_m = self._points.radius_m * unit(place_m)
         for level in range(len(self._points.layers[0].postings_m)):
-            found = self._sampled(place_m, place_m[None], level, joined=False)
-            if np.isfinite(found[0]):
-                return float(found[0])
+            heights = self._sample_patches(place_m, place_m[None], level, joined=False)
+            if np.isfinite(heights[0]):
+                return float(heights[0])
         return None
 
     def level(self, metres_per_pixel: float) -> int | None:
-        """The finest level that a picture resolves well; None for none."""
+        """Return the finest level that a picture resolves well; None for none."""
         postings = self._points.layers[0].postings_m
-        fit = np.flatnonzero(postings >= MIN_POSTING_PX * metres_per_pixel)
+        # A level is used whose posting is at least 2.5 times the ground that a pixel sees.
+        fit = np.flatnonzero(postings >= 2.5 * metres_per_pixel)
         return int(fit[0]) if fit.size else None
 
     def reference(self, window: Window) -> Reference | None:
-        """The ground of a window; None where the catalog has too little of it."""
+        """Return the ground of a window; None where the catalog has too little of it."""
         key, posting = window.key, window.posting_m
         lat, lon = window.projection.lat, window.projection.lon
         radius = float(np.linalg.norm(window.place_m))
-        point = _bare_point(np.degrees(lat), np.degrees(lon), radius)
-        own = _Grid(posting / OVERSAMPLED, _room_nodes(key))
-        few = _Grid(own.posting_m * own.size / FEW_NODES, FEW_NODES)
-        if np.isfinite(self._heights(point, few, key.level, joined=False)).mean() < MIN_KNOWN:
+        point = _make_point(np.degrees(lat), np.degrees(lon), radius)
+        window_grid = _Grid(posting / OVERSAMPLED, _count_room_nodes(key))
+        few = _Grid(window_grid.posting_m * window_grid.size / FEW_NODES, FEW_NODES)
+        if (
+            np.isfinite(self._sample_heights(point, few, key.level, joined=False)).mean()
+            < MIN_KNOWN
+        ):
             return None
         last = min(key.level + SHADOW_LEVELS, len(self._points.layers[0].postings_m))
-        grids = [(key.level, own)]
+        grids = [(key.level, window_grid)]
         # coarser patches throw shadows in
         grids += [(n, _Grid(self.posting_m(n), SHADOW_NODES)) for n in range(key.level, last)]
         patches = []
         for number, (level, grid) in enumerate(grids):
-            heights = self._heights(point, grid, level, joined=number == 0)
+            heights = self._sample_heights(point, grid, level, joined=number == 0)
             if number == 0 and np.isfinite(heights).mean() < MIN_KNOWN:
                 return None
             patches.append(Patch(grid.posting_m, heights))
         return Reference(point, tuple(patches), self._points.radius_m)
 
-    def may_have(self, keys: Sequence[WindowKey]) -> BoolArray:
-        """(n,) whether windows of one level and side may have ground; what is not so has none.
+    def find_covered(self, keys: Sequence[WindowKey]) -> BoolArray:
+        """Find which windows (n,) of one level and side may have ground; the others have none.
 
         A catalog has a point in each cell with ground, so far from all of them there is none.
         """
         posting = self.posting_m(keys[0].level)
         middles = STEP * posting * np.array([(key.col, key.row) for key in keys], np.float64)
-        span = posting / OVERSAMPLED * (_room_nodes(keys[0]) - 1)
+        span = posting / OVERSAMPLED * (_count_room_nodes(keys[0]) - 1)
         few = middles[:, None] + span * np.array(list(product((-0.5, 0.0, 0.5), repeat=2)))
-        away = self._points.distances_m(self.map.points(few[..., 0], few[..., 1], 0.0))
+        distances = self._points.distances_m(self.map.points(few[..., 0], few[..., 1], 0.0))
         cell = float(np.radians(self._points.layers[0].grid.step_deg)) * self._points.radius_m
-        farthest: FloatArray = away.max(axis=1)
-        return farthest < CELLS * cell
+        farthest: FloatArray = distances.max(axis=1)
+        # Ground of the catalog has a point within a cell.
+        return farthest < 1.0 * cell
 
-    def _made(self, key: WindowKey) -> Window | None:
+    def _make_window(self, key: WindowKey) -> Window | None:
         posting = self.posting_m(key.level)
         x, y = STEP * posting * key.col, STEP * posting * key.row
         middle = self.map.points(x, y, 0.0)
@@ -190,25 +188,26 @@ class WindowField:
         projection = Stereographic(lat, lon, self._points.radius_m)
         return Window(key, projection.points(0.0, 0.0, height), projection, posting, self)
 
-    def _heights(
+    def _sample_heights(
         self, point: ControlPoint, grid: "_Grid", level: int, *, joined: bool
     ) -> Float32Array:
-        """Heights (n, n) of a grid about a place; joined: with neighbours weighted into each other.
+        """Sample heights (n, n) of a grid about a point; joined: neighbours weighted smoothly.
 
         Else each node is of the nearest patch that has it: what throws shadows need not be smooth.
         """
         projection = point.projection(self._points.radius_m)
         places = projection.points(*make_node_grid(grid.size, grid.posting_m), 0.0).reshape(-1, 3)
-        found = self._sampled(point.xyz_m, places, level, joined=joined)
-        return found.reshape(grid.size, grid.size)
+        heights = self._sample_patches(point.xyz_m, places, level, joined=joined)
+        return heights.reshape(grid.size, grid.size)
 
-    def _sampled(
+    def _sample_patches(
         self, middle_m: FloatArray, places: FloatArray, level: int, *, joined: bool
     ) -> Float32Array:
-        """Heights (n,) at places (n, 3) from the patches about a middle; NaN outside them."""
+        """Sample heights (n,) at points (n, 3) from the patches about a middle; NaN outside."""
         total, weight = np.zeros(len(places)), np.zeros(len(places))
-        reach = REACH_NODES * self.posting_m(level)
-        for index in self._points.nearest(middle_m, NEAREST, reach):
+        # Patches within 110 nodes, half the grid's side and half of theirs, are joined.
+        reach = 110 * self.posting_m(level)
+        for index in self._points.nearest(middle_m, 16, reach):
             reference = self._points.reference(index)
             if reference is None or level >= len(reference.patches):
                 continue
@@ -216,7 +215,8 @@ class WindowField:
             if wanted.size == 0:
                 break
             patch = reference.patches[level]
-            if joined and weight.min() > WELL_INSIDE:
+            # More than eight nodes inside a patch no other one is needed.
+            if joined and weight.min() > 8.0:
                 break
             x, y = reference.projection.xy_from_xyz(places[wanted])
             half = (patch.size - 1) / 2.0
@@ -229,12 +229,12 @@ class WindowField:
             at, share = wanted[inside][known], inward[inside][known]
             total[at] += share * heights[known]
             weight[at] += share
-        found = np.where(weight > 0.0, total / np.maximum(weight, 1e-9), np.nan)
-        return found.astype(np.float32)
+        joined_heights = np.where(weight > 0.0, total / np.maximum(weight, 1e-9), np.nan)
+        return joined_heights.astype(np.float32)
 
 
-def _room_nodes(key: WindowKey) -> int:
-    """Nodes along a side of a window with all the room of a search."""
+def _count_room_nodes(key: WindowKey) -> int:
+    """Count the nodes along a side of a window with all the room of a search."""
     return OVERSAMPLED * key.side + 2 * (MAX_SEARCH_NODES + MARGIN_NODES)
 
 
@@ -246,7 +246,7 @@ class _Grid(NamedTuple):
 
 
 class SeenGround(NamedTuple):
-    """What a picture shows of the ground.
+    """Ground in view of a picture.
 
     middle_m         (3,) below its middle
     metres_per_pixel there, square to the line of sight
@@ -258,15 +258,16 @@ class SeenGround(NamedTuple):
     border_m: FloatArray
 
     def distance_m(self, camera: Camera) -> float:
-        """From the camera to the ground below the picture's middle."""
+        """Return the distance from the camera to the ground at the picture's middle."""
         return self.metres_per_pixel * camera.coarse_focal_px
 
 
-def view_of(camera: Camera, pose: Pose, windows: WindowField) -> SeenGround | None:
-    """The ground in a picture; None where its middle shows none of the catalog."""
+def find_view(camera: Camera, pose: Pose, windows: WindowField) -> SeenGround | None:
+    """Find the ground in a picture; None where its middle shows none of the catalog."""
     turn = pose.camera_from_body.as_matrix()
     middle_px = np.array([[camera.width_px - 1, camera.height_px - 1]]) / 2.0
-    pixels = np.concatenate([middle_px, camera.border(FRAME_NODES)])
+    # 24 rays along each border bound the ground in view.
+    pixels = np.concatenate([middle_px, camera.border(24)])
     rays = camera.unproject(pixels) @ turn
     rays = rays[np.isfinite(rays).all(axis=1)]
     radius = windows.map.radius_m
@@ -290,9 +291,9 @@ def view_of(camera: Camera, pose: Pose, windows: WindowField) -> SeenGround | No
 def choose_windows(
     frame: FrameContext, pose: Pose, windows: WindowField, known: Sequence[WindowKey]
 ) -> list[Window]:
-    """One window in each square of the picture, those that are known already first."""
+    """Choose a window in each square of the picture, those already known first."""
     camera = frame.camera
-    view = view_of(camera, pose, windows)
+    view = find_view(camera, pose, windows)
     if view is None or len(view.border_m) < 3:
         return []
     level = windows.level(view.metres_per_pixel)
@@ -322,15 +323,15 @@ def choose_windows(
     order: IndexArray = np.lexsort((col, row, off, fresh))
     order = order[inside[order]]
     keys = [WindowKey(level, side, int(row[k]), int(col[k])) for k in order]
-    known_ground = windows.may_have(keys) if keys else np.zeros(0, dtype=bool)
+    known_ground = windows.find_covered(keys) if keys else np.zeros(0, dtype=bool)
     full: set[tuple[int, int]] = set()
     for k, key, has_ground in zip(order, keys, known_ground, strict=True):
-        if not has_ground or (place := (int(square[k, 0]), int(square[k, 1]))) in full:
+        if not has_ground or (cell := (int(square[k, 0]), int(square[k, 1]))) in full:
             continue
         window = windows.window(key)
         if window is None or not _is_seen(frame, pose, window) or window.reference is None:
             continue
-        full.add(place)
+        full.add(cell)
         chosen.append(window)
     return chosen
 
@@ -338,7 +339,7 @@ def choose_windows(
 def match_window(frame: FrameContext, pose: Pose, window: Window, sigma_px: float) -> PointMatch:
     """Search a window about where the pose expects it, to sigma_px."""
     if window.reference is None:
-        return PointMatch(window.key.level, NO_GROUND)
+        return PointMatch(window.key.level, Reason(ReasonCode.NO_TERRAIN, "no terrain data"))
     sample = float(np.linalg.norm(window.place_m - pose.position_m)) / frame.camera.coarse_focal_px
     posting = window.posting_m / OVERSAMPLED
     room = int(np.ceil(frame.settings.match.search_sigmas * sigma_px * sample / posting + 2.0))
@@ -350,46 +351,47 @@ def match_window(frame: FrameContext, pose: Pose, window: Window, sigma_px: floa
         sample,
         soft_nodes=SOFT_NODES,
     )
-    gates = MatchGates(least_score(nodes, room), frame.settings.match.rival_ratio)
+    gates = MatchGates(compute_min_score(nodes, room), frame.settings.match.rival_ratio)
     args = window.reference, plan, frame.picture, frame.camera, pose, frame.sun_body
     return match_point(*args, frame.matcher, gates)
 
 
-def least_score(nodes: int, room: int) -> float:
-    """The correlation that a window must have: MAX_SCORE, or in a small search what chance reaches.
+def compute_min_score(nodes: int, room: int) -> float:
+    """Compute the least correlation: MAX_SCORE, or in a small search what chance reaches.
 
     nodes  a side of the template;  room  of the search on every side
     A model that is wrong at its posting correlates little with the ground: 0.2 to 0.4 in 3 m of
     error on smooth ground. Where the track leaves little room, such a window still says something,
     and what its match leaves over says how little.
     """
-    if room > NEAR_NODES:
+    if room > 8:
         return MAX_SCORE
-    sample = nodes_a_sample(SOFT_NODES)
+    sample = count_nodes_per_sample(SOFT_NODES)
     places = max((2 * room + 1) ** 2 / sample, 1.0)
-    sigmas = -float(ndtri(CHANCE / places))
+    # One in a thousand searches over at most eight nodes to each side passes by chance.
+    sigmas = -float(ndtri(1e-3 / places))
     return min(MAX_SCORE, sigmas / float(np.sqrt(nodes**2 / sample)))
 
 
-def overlap(one: WindowKey, other: WindowKey) -> float:
-    """Correlation of the errors of two windows: their common ground over the root of both areas."""
-    if one.level != other.level:
+def compute_overlap(first: WindowKey, second: WindowKey) -> float:
+    """Correlate two windows' errors: their common ground over the root of both areas."""
+    if first.level != second.level:
         return 0.0
     share = 1.0
-    for a, b in ((one.row, other.row), (one.col, other.col)):
-        common = min(0.5 * (one.side + other.side) - STEP * abs(a - b), one.side, other.side)
-        share *= max(common, 0.0) / np.sqrt(one.side * other.side)
+    for a, b in ((first.row, second.row), (first.col, second.col)):
+        common = min(0.5 * (first.side + second.side) - STEP * abs(a - b), first.side, second.side)
+        share *= max(common, 0.0) / np.sqrt(first.side * second.side)
     return float(share)
 
 
 def _is_seen(frame: FrameContext, pose: Pose, window: Window) -> bool:
     """Whether a window lies whole in the picture, lit and not too oblique."""
-    place, up = window.place_m, unit(window.place_m)
-    sight = unit(pose.position_m - place)
+    point, up = window.place_m, unit(window.place_m)
+    sight = unit(pose.position_m - point)
     if sight @ up < np.cos(MAX_EMISSION) or frame.sun_body @ up < np.sin(MIN_SUN):
         return False
     half = window.key.side * window.posting_m / 2.0
-    height = float(window.projection.height_of(place))
+    height = float(window.projection.height_of(point))
     x, y = np.array([-1.0, 1.0, 1.0, -1.0]) * half, np.array([-1.0, -1.0, 1.0, 1.0]) * half
     corners = window.projection.points(x, y, height)
     turn = pose.camera_from_body.as_matrix()
@@ -397,6 +399,6 @@ def _is_seen(frame: FrameContext, pose: Pose, window: Window) -> bool:
     return bool(np.isfinite(pixels).all() and frame.camera.contains(pixels).all())
 
 
-def _bare_point(lat_deg: float, lon_deg: float, radius_m: float) -> ControlPoint:
-    """A place without a certificate."""
+def _make_point(lat_deg: float, lon_deg: float, radius_m: float) -> ControlPoint:
+    """Make a control point without a certificate."""
     return ControlPoint(0, lat_deg, lon_deg, radius_m, 0.0, 0.0, 0.0, 0, (), (), usable=True)

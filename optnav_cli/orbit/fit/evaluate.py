@@ -19,8 +19,13 @@ from catalog.files import make_prefix_test, replace_file
 from catalog.progress import log_stage
 from optnav_cli.evaluation.evaluation import Evaluation, evaluate
 from optnav_cli.evaluation.figures import Figures
-from optnav_cli.evaluation.files import EVALUATION_CSV, EVALUATION_JSON, error_cells, summary_of
-from optnav_cli.evaluation.table import format_table
+from optnav_cli.evaluation.files import (
+    EVALUATION_CSV,
+    EVALUATION_JSON,
+    format_table,
+    make_error_cells,
+    summarise,
+)
 from optnav_cli.fix import Fix, Method, Solution
 from optnav_cli.frames.orbit_tables import AXES, ORBIT_ERRORS, ORBIT_RESIDUALS
 from optnav_cli.frames.run_settings import RUN_TOML, FileAttitude, read_run_settings
@@ -101,7 +106,7 @@ class OrbitEvaluation:
     def summary(self) -> dict[str, object]:
         """All figures as JSON values."""
         velocity = self._velocity()
-        return summary_of(self.at_fixes) | {
+        return summarise(self.at_fixes) | {
             "fixes_rms_rnb_m": None if self.fixes_rms_m is None else _rounded(self.fixes_rms_m, 3),
             "velocity_rms_rnb_m_s": None if velocity is None else velocity[0],
             "velocity_normalised_error_squared": None if velocity is None else velocity[1],
@@ -271,7 +276,7 @@ def write_orbit_evaluation(found: OrbitEvaluation, folder: Path) -> None:
     """Write evaluation.json, evaluation.csv and orbit_errors.csv into an orbit's folder."""
     found.at_fixes.figures()
     with replace_file(folder / EVALUATION_CSV, make_prefix_test(b"file,utc,status,")) as path:
-        EVALUATION.write(path, map(error_cells, found.at_fixes.frames))
+        EVALUATION.write(path, map(make_error_cells, found.at_fixes.frames))
     with replace_file(folder / ERRORS_CSV, make_prefix_test(b"utc,hours,")) as path:
         ORBIT_ERRORS.write(path, _rows(found.orbit))
     with replace_file(folder / EVALUATION_JSON, make_prefix_test(b'{\n  "frames"')) as path:

@@ -1,19 +1,81 @@
 """Limb points as rays in the body frame, and their errors that residuals do not show."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
+import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.bodies.body import Body
+from catalog.config import Positive, load_toml, resource
 from catalog.errors import NoSolutionError
 from catalog.terrain.skyline.limb import make_nadir_axes
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.outline.limb.detection import LimbPoints
-from optnav_cli.outline.limb.sizes import LightSizes, load_horizon_sizes
 from optnav_cli.reasons import ReasonCode, format_distinct
+
+FILE = "configs/models/horizon.toml"
+
+
+class LightSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[light]: of edges."""
+
+    noise_px: Positive
+    sector_px: Positive
+    sector_low_px: Positive
+    sector_fall_deg: Positive
+    rough_share: Positive
+    rough_px: Positive
+
+
+class CrestSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[crest]: of the skyline of a relief on a sphere."""
+
+    top_share: Positive
+    top_share_more: Positive
+    posting_m: Positive
+    noise_m: Positive
+    sigma_m: Positive
+    model_sector: Positive
+    lift: Positive
+    lift_sigma: Positive
+
+
+class ShapeSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[shape]: of the silhouette of a shape, in its cells."""
+
+    lift: Positive
+    lift_sigma: Positive
+    crest_noise: Positive
+    sector_noise: Positive
+
+
+class EllipsoidSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[ellipsoid]: of what relief does to the limb of a bare one."""
+
+    mean_km: Positive
+    heights_km: Positive
+    angle_deg: tuple[float, ...]
+    covariance_km2: tuple[float, ...]
+
+
+class HorizonSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """All numbers of FILE."""
+
+    light: LightSizes
+    crest: CrestSizes
+    shape: ShapeSizes
+    ellipsoid: EllipsoidSizes
+
+
+@cache
+def load_horizon_sizes() -> HorizonSizes:
+    """The sizes that ship with optnav. Raises ConfigError for a wrong file."""
+    return load_toml(resource(FILE), HorizonSizes)
+
 
 ARC_BIN_DEG = 2.0
 MIN_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)

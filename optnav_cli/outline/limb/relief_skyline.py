@@ -16,9 +16,14 @@ from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.skyline.limb import LimbRelief, make_nadir_axes
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.estimation.robust import TUKEY, scatter
-from optnav_cli.outline.limb.limb_rays import LimbRays, compute_rough_errors
+from optnav_cli.outline.limb.limb_rays import (
+    HorizonSizes,
+    LightSizes,
+    LimbRays,
+    compute_rough_errors,
+    load_horizon_sizes,
+)
 from optnav_cli.outline.limb.model import fit_limb
-from optnav_cli.outline.limb.sizes import HorizonSizes, LightSizes, load_horizon_sizes
 from optnav_cli.outline.limb.skyline import (
     SkylineFit,
     SkylineResult,

@@ -24,9 +24,8 @@ from catalog.terrain.skyline.limb import LimbRelief, make_nadir_axes
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.estimation.robust import scatter
 from optnav_cli.outline.limb.detection import RELIEF
-from optnav_cli.outline.limb.limb_rays import LimbRays
+from optnav_cli.outline.limb.limb_rays import LimbRays, load_horizon_sizes
 from optnav_cli.outline.limb.model import solve_silhouette_step
-from optnav_cli.outline.limb.sizes import load_horizon_sizes
 from optnav_cli.outline.limb.skyline import SkylineFit, SkylineResult, select_usable_rays
 from optnav_cli.reasons import ReasonCode
 

@@ -12,13 +12,13 @@ from catalog.arrays import BoolArray, FloatArray
 from optnav_cli.estimation.consider import considered, with_shared_errors
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.outline.limb.limb_rays import (
+    LightSizes,
     LimbRays,
     compute_edge_errors,
     compute_rough_errors,
     group_by_sector,
     require_arc,
 )
-from optnav_cli.outline.limb.sizes import LightSizes
 
 
 class SkylineFit(NamedTuple):

@@ -142,11 +142,11 @@ def test_some_points_lead_to_the_finest_levels_where_they_agree(
     """Otherwise all are searched, none of them twice; and the last pass has all either way."""
     picture, pose, sun = scene
     searches, searched = [], []
-    search_from, match_point = method.search_from, solve_module.match_point
+    plan_search, match_point = method.plan_search, solve_module.match_point
 
     def noted(*of):
         searches.append([])
-        return search_from(*of)
+        return plan_search(*of)
 
     def counted(reference, *of):
         searches[-1].append(reference.point.id)
@@ -157,7 +157,7 @@ def test_some_points_lead_to_the_finest_levels_where_they_agree(
         return searched[-1]
 
     search = method._search
-    monkeypatch.setattr(method, "search_from", noted)
+    monkeypatch.setattr(method, "plan_search", noted)
     monkeypatch.setattr(solve_module, "match_point", counted)
     monkeypatch.setattr(method, "_search", passed)
     picture = picture.copy()

@@ -8,12 +8,12 @@ import pytest
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.control_points.error_model import (
     MatchedPoints,
-    bias_px,
-    common_errors_px,
-    own_covariances_px2,
-    own_sigma_m,
-    scatter_shares,
-    shipped_sizes,
+    compute_bias_px,
+    compute_common_errors_px,
+    compute_point_covariances_px2,
+    compute_point_sigma_m,
+    compute_scatter_shares,
+    load_error_sizes,
 )
 
 RADIUS_M, POSTING_M = 1_737_400.0, 118.45
@@ -51,20 +51,22 @@ def matched(offsets, score=1.0, unresolved_posting_m=0.0, levels=1.0, skipped_m=
 
 
 def errors(offsets, elevation_deg=30.0, **changes):
-    return common_errors_px(matched(offsets, **changes), sun(elevation_deg))
+    return compute_common_errors_px(matched(offsets, **changes), sun(elevation_deg))
 
 
 SQUARE = [(-2e4, -2e4), (2e4, -2e4), (2e4, 2e4), (-2e4, 2e4)]
 
 
 def test_a_coarser_level_has_a_larger_error_of_its_own():
-    sigmas = [own_sigma_m(POSTING_M * 2**level, POSTING_M, 30.0) for level in range(5)]
+    sigmas = [compute_point_sigma_m(POSTING_M * 2**level, POSTING_M, 30.0) for level in range(5)]
     assert sigmas == sorted(sigmas)
-    assert own_sigma_m(0.0, POSTING_M, 30.0) > 0.0
+    assert compute_point_sigma_m(0.0, POSTING_M, 30.0) > 0.0
 
 
 def test_a_lower_sun_leaves_a_larger_error_of_a_points_own():
-    sigmas = [own_sigma_m(POSTING_M, POSTING_M, elevation) for elevation in (0, 5, 10, 30, 90)]
+    sigmas = [
+        compute_point_sigma_m(POSTING_M, POSTING_M, elevation) for elevation in (0, 5, 10, 30, 90)
+    ]
     assert sigmas == sorted(sigmas, reverse=True)
     assert np.isfinite(sigmas).all()
 
@@ -112,7 +114,9 @@ def test_what_a_shape_model_hides_adds_to_what_is_common_and_to_what_is_a_points
     # behind a blur the shifts stand for what is left of that away from the Sun
     assert not hidden[:, :, 17].any()
     assert (np.delete(growth, 17, axis=1) > -1e-12).all()
-    flat = [own_covariances_px2(matched(SQUARE, unresolved_posting_m=m)) for m in (0.0, 300.0)]
+    flat = [
+        compute_point_covariances_px2(matched(SQUARE, unresolved_posting_m=m)) for m in (0.0, 300.0)
+    ]
     assert (np.linalg.eigvalsh(flat[1] - flat[0]) > 0.0).all()
 
 
@@ -126,7 +130,7 @@ def test_a_terrain_models_error_moves_a_point_along_the_ground_and_in_height():
     for sigmas, wanted in (((0.0, 0.0), (0.0, 0.0)), ((60.0, 0.0), (225.0, 225.0)),
                            ((0.0, 20.0), (400.0, 0.0))):  # fmt: skip
         stated = replace(plain, terrain_sigmas_m=np.tile(sigmas, (4, 1)))
-        added = own_covariances_px2(stated) - own_covariances_px2(plain)
+        added = compute_point_covariances_px2(stated) - compute_point_covariances_px2(plain)
         # the corners lie 28 km from the middle, where the ground leans by 0.016
         assert np.diagonal(added, axis1=1, axis2=2) == pytest.approx(
             np.tile(wanted, (4, 1)), rel=0.04, abs=3.0
@@ -139,28 +143,30 @@ def test_what_is_common_shrinks_where_the_model_is_stated_right_and_explains_the
     def common(score, stated):
         known = None if stated is None else np.full(4, stated)
         points = replace(matched(SQUARE, score=score), terrain_errors=known)
-        return common_errors_px(points, sun(30.0))[:, :, others]
+        return compute_common_errors_px(points, sun(30.0))[:, :, others]
 
     whole = common(0.98, None)
     np.testing.assert_allclose(common(0.98, 0.3), 0.3 * whole, atol=1e-12)
-    np.testing.assert_allclose(common(0.98, 0.0), shipped_sizes().terrain.right * whole, atol=1e-12)
+    np.testing.assert_allclose(
+        common(0.98, 0.0), load_error_sizes().terrain.right * whole, atol=1e-12
+    )
     assert (common(0.98, 1.0) == whole).all()
     assert (common(0.98, 5.0) == whole).all()
     # of coarse levels, what averaging moves stays
     nodes = np.r_[12:17]
     coarse, finest = (
-        common_errors_px(matched(SQUARE, score=0.98, levels=level), sun(30.0))[:, :, nodes]
+        compute_common_errors_px(matched(SQUARE, score=0.98, levels=level), sun(30.0))[:, :, nodes]
         for level in (4.0, 1.0)
     )
     points = replace(matched(SQUARE, score=0.98, levels=4.0), terrain_errors=np.full(4, 0.3))
-    some = common_errors_px(points, sun(30.0))[:, :, nodes]
+    some = compute_common_errors_px(points, sun(30.0))[:, :, nodes]
     np.testing.assert_allclose(some, coarse - 0.7 * finest, atol=1e-12)
     # a right model under albedo, and one that errs but is seen well
     np.testing.assert_allclose(common(0.85, 0.1), common(0.85, None))
     np.testing.assert_allclose(common(0.92, 0.1), 0.8**4 * common(0.92, None), atol=1e-12)
     plain = matched(SQUARE, score=0.98)
     seen_well = replace(plain, terrain_errors=np.full(4, 0.3))
-    of_plain, of_right = (np.array(scatter_shares(points)) for points in (plain, seen_well))
+    of_plain, of_right = (np.array(compute_scatter_shares(points)) for points in (plain, seen_well))
     np.testing.assert_allclose(of_right, 0.3 * of_plain)
 
 
@@ -184,27 +190,27 @@ def test_a_pattern_is_found_away_from_a_low_sun():
     """0.9 m, and 15 m for a score of 0, for a cotangent of 1 above 1.5; the Sun is in the east."""
     size = 1.0 / np.tan(np.radians(20.0)) - 1.5
     for score, moved_m in ((1.0, 0.9), (0.5, 8.4)):
-        bias = bias_px(matched(SQUARE, score=score, sun_deg=20.0), sun(20.0))
+        bias = compute_bias_px(matched(SQUARE, score=score, sun_deg=20.0), sun(20.0))
         assert bias[:, 0] == pytest.approx(-moved_m * size, rel=0.02)  # 1 px a metre
     high = matched(SQUARE, score=0.5, sun_deg=40.0)
-    assert bias_px(high, sun(40.0)) == pytest.approx(np.zeros((4, 2)))
+    assert compute_bias_px(high, sun(40.0)) == pytest.approx(np.zeros((4, 2)))
     hidden = matched(SQUARE, score=0.5, sun_deg=20.0, unresolved_posting_m=319.0)
-    assert bias_px(hidden, sun(20.0)) == pytest.approx(np.zeros((4, 2)))
+    assert compute_bias_px(hidden, sun(20.0)) == pytest.approx(np.zeros((4, 2)))
 
 
 def test_a_level_coarser_than_the_picture_resolves_errs_by_what_it_skips():
     plain, skipped = matched(SQUARE, levels=4.0), matched(SQUARE, levels=4.0, skipped_m=355.0)
-    wider = own_covariances_px2(skipped) - own_covariances_px2(plain)
+    wider = compute_point_covariances_px2(skipped) - compute_point_covariances_px2(plain)
     assert np.trace(wider, axis1=1, axis2=2) == pytest.approx(2.0 * 5.0**2, rel=0.05)
 
 
 def test_templates_of_poor_score_are_moved_as_a_whole_the_less_the_wider_they_are():
     """15 m an axis for a score of 0 over 9.5 km, and 22.5 more for a cotangent of 1."""
     good, poor = matched(SQUARE), matched(SQUARE, score=0.5)
-    added = own_covariances_px2(poor) - own_covariances_px2(good)
+    added = compute_point_covariances_px2(poor) - compute_point_covariances_px2(good)
     cotangent = 1.0 / np.tan(np.radians(poor.sun_elevation_deg[0]))
     square = 7.5**2 + (11.25 * cotangent) ** 2
     assert np.trace(added, axis1=1, axis2=2) == pytest.approx(2.0 * square, rel=0.05)
     wide = replace(poor, sizes_m=2.0 * poor.sizes_m)
-    less = own_covariances_px2(wide) - own_covariances_px2(good)
+    less = compute_point_covariances_px2(wide) - compute_point_covariances_px2(good)
     assert less == pytest.approx(added / 4.0, rel=1e-6)

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.camera.camera import Camera
-from optnav_cli.control_points.expectation import CandidatePoints, expected_in_view
+from optnav_cli.control_points.expectation import CandidatePoints, find_in_view
 from optnav_cli.control_points.settings import ViewSettings
 from optnav_cli.estimation.models.points import Pose
 
@@ -25,7 +25,7 @@ def nadir(lat, lon, height_m=200e3):
 def seen(points, pose, limits=ANY_LIGHT, half=0.0, sun=None, skyline=None, camera=CAMERA):
     sun = pose.position_m / np.linalg.norm(pose.position_m) if sun is None else sun
     candidates = CandidatePoints(points, np.full(len(points), half), skyline)
-    return expected_in_view(candidates, camera, pose, sun, limits)
+    return find_in_view(candidates, camera, pose, sun, limits)
 
 
 @pytest.mark.parametrize("lat_deg", [90.0, -90.0, 0.0, -43.0])
@@ -58,7 +58,7 @@ def test_light_and_view_are_reckoned_from_the_points_own_normals():
     normal = np.array([[np.cos(lean), np.sin(lean), 0.0]])
     sun = np.array([np.cos(1.0), np.sin(1.0), 0.0])
     candidates = CandidatePoints(point, np.zeros(1), verticals=normal)
-    view = expected_in_view(candidates, CAMERA, pose, sun, ANY_LIGHT)
+    view = find_in_view(candidates, CAMERA, pose, sun, ANY_LIGHT)
     assert view.emission_deg[0] == pytest.approx(8.0, abs=1e-6)
     assert view.sun_elevation_deg[0] == pytest.approx(98.0 - np.degrees(1.0), abs=1e-6)
 

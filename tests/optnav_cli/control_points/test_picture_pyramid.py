@@ -11,8 +11,8 @@ from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.control_points.picture_pyramid import (
     ASSUMED_PSF_PX,
     PicturePyramid,
-    as_seen,
-    blur_px,
+    average_as_seen,
+    get_blur_px,
 )
 
 SIZE, BORDER = 48, 3
@@ -90,7 +90,7 @@ def noise(sigma=1.5):
 
 def test_over_even_ground_it_is_a_gaussian_as_wide_as_the_blur_is_on_the_ground():
     grid, blur = noise(), 0.75
-    found = as_seen(grid, seen_obliquely(0.3, 0.6), blur)
+    found = average_as_seen(grid, seen_obliquely(0.3, 0.6), blur)
     wanted = gaussian_filter(grid, (blur / 0.3, blur / 0.6))
     inner = slice(11, -11)
     off = np.std((found - wanted)[inner, inner]) / np.std(wanted[inner, inner])
@@ -100,7 +100,7 @@ def test_over_even_ground_it_is_a_gaussian_as_wide_as_the_blur_is_on_the_ground(
 
 def test_a_blur_far_below_a_node_changes_nothing():
     grid = noise()
-    assert as_seen(grid, seen_obliquely(6.0, 6.0), 0.75) is grid
+    assert average_as_seen(grid, seen_obliquely(6.0, 6.0), 0.75) is grid
 
 
 def test_relief_is_averaged_as_a_picture_of_it_is():
@@ -113,7 +113,7 @@ def test_relief_is_averaged_as_a_picture_of_it_is():
     pixels = seen_obliquely(0.35, 0.7, heights, 1.5)
     bright = (1.0 + np.gradient(heights, axis=0) + np.gradient(heights, axis=1)).astype(np.float32)
     inside = slice(BORDER, -BORDER)
-    found = as_seen(np.ascontiguousarray(bright[inside, inside]), pixels, blur)
+    found = average_as_seen(np.ascontiguousarray(bright[inside, inside]), pixels, blur)
     # between the nodes, linearly
     at = np.linspace(0.0, size - 1.0, (size - 1) * fine + 1)
     low = np.minimum(at.astype(int), size - 2)
@@ -142,14 +142,14 @@ def test_ground_turned_from_the_camera_takes_no_part():
     grid = np.ones((SIZE, SIZE), np.float32)
     dark = slice(28 - BORDER, 29 - BORDER)
     grid[dark] = 0.0  # the middle of its far side
-    found = as_seen(grid, pixels, 0.75)
+    found = average_as_seen(grid, pixels, 0.75)
     np.testing.assert_allclose(found[:, 12:-12], 1.0, atol=1e-6)
 
 
 def test_holes_stay_and_spread_nowhere():
     grid = np.full((SIZE, SIZE), 2.0, np.float32)
     grid[20:23, 20:26] = np.nan
-    found = as_seen(grid, seen_obliquely(0.4, 0.5), 0.75)
+    found = average_as_seen(grid, seen_obliquely(0.4, 0.5), 0.75)
     assert np.array_equal(np.isnan(found), np.isnan(grid))
     np.testing.assert_allclose(found[np.isfinite(found)], 2.0, rtol=1e-6)
 
@@ -157,16 +157,16 @@ def test_holes_stay_and_spread_nowhere():
 def test_nodes_out_of_the_camera_s_view_are_left_as_they_are():
     grid, pixels = noise(), seen_obliquely(0.4, 0.5)
     pixels[: BORDER + 10] = np.nan
-    found = as_seen(grid, pixels, 0.75)
+    found = average_as_seen(grid, pixels, 0.75)
     np.testing.assert_array_equal(found[:8], grid[:8])
     assert np.isfinite(found).all()
 
 
 def test_the_blur_is_that_of_lens_and_pixels():
     camera = preset_camera("shnk")
-    assert blur_px(camera) == pytest.approx(np.hypot(0.7, np.sqrt(1.0 / 12.0)))
+    assert get_blur_px(camera) == pytest.approx(np.hypot(0.7, np.sqrt(1.0 / 12.0)))
     unknown = replace(camera, psf_sigma_px=None, psf_error_px=None)
-    assert blur_px(unknown) == pytest.approx(np.hypot(ASSUMED_PSF_PX, np.sqrt(1.0 / 12.0)))
+    assert get_blur_px(unknown) == pytest.approx(np.hypot(ASSUMED_PSF_PX, np.sqrt(1.0 / 12.0)))
 
 
 def test_areas_of_full_pixels_and_those_without_a_value_show_nothing():

@@ -113,11 +113,11 @@ def test_albedo_that_follows_relief_moves_no_point(rough_world, reference, monke
     assert not coarser.reason
     assert coarser.albedo is None
     assert plain.albedo is None
-    assert plain.apply_albedo(load_shipped_strengths()) is plain
+    assert plain.with_albedo(load_shipped_strengths()) is plain
     assert plain.offset_m[0] < -10.0
     assert found.offset_m[0] == plain.offset_m[0]
     assert found.albedo.laid.explained > 0.1
-    moved = found.apply_albedo(load_shipped_strengths())
+    moved = found.with_albedo(load_shipped_strengths())
     assert moved.under_albedo
     assert abs(moved.offset_m[0]) < 0.5 * abs(plain.offset_m[0])
 
@@ -200,4 +200,6 @@ def test_mean_pixels_of_blocks_are_those_of_their_known_nodes():
         np.nanmean(pixels[r : r + 12, c : c + 12], axis=(0, 1))
         for r, c in zip(top, left, strict=True)
     ]
-    np.testing.assert_allclose(point_match._block_means(pixels, top, left, 12), wanted, atol=1e-12)
+    np.testing.assert_allclose(
+        point_match._average_blocks(pixels, top, left, 12), wanted, atol=1e-12
+    )

@@ -7,7 +7,7 @@ import pytest
 
 from catalog.correlation.ncc import match_ncc
 from optnav_cli.control_points import method
-from optnav_cli.control_points.proof import drop_disproven
+from optnav_cli.control_points.acceptance import drop_disproven
 from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.fix import PositionPrior, UnsolvedFrameError
 from optnav_cli.frames.observation import Observation

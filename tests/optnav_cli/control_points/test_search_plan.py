@@ -5,8 +5,8 @@ import pytest
 
 from optnav_cli.control_points.search_plan import (
     NO_DISTORTION,
-    finest_level,
-    ground_uncertainty_m,
+    compute_ground_uncertainty_m,
+    find_finest_level,
     plan_distortion,
     search_room,
 )
@@ -46,10 +46,10 @@ def test_without_coarse_levels_the_last_is_searched_twice_as_far(levels):
 
 
 def test_the_finest_level_is_the_first_that_the_pixels_resolve():
-    assert finest_level(POSTINGS, 10.0, 0.6) == 0
-    assert finest_level(POSTINGS, 118.0 / 0.6, 0.6) == 0
-    assert finest_level(POSTINGS, 118.1 / 0.6, 0.6) == 1
-    assert finest_level(POSTINGS, 1e5, 0.6) == 4
+    assert find_finest_level(POSTINGS, 10.0, 0.6) == 0
+    assert find_finest_level(POSTINGS, 118.0 / 0.6, 0.6) == 0
+    assert find_finest_level(POSTINGS, 118.1 / 0.6, 0.6) == 1
+    assert find_finest_level(POSTINGS, 1e5, 0.6) == 4
 
 
 def test_a_well_known_pose_needs_no_rolls_or_scales():
@@ -78,7 +78,7 @@ def test_the_uncertainty_on_the_ground_is_that_of_the_worst_direction():
     jacobian[1, 1, 5] = 800.0  # the second point lies 800 px off the middle
     covariance = np.diag([100.0**2, 300.0**2, 500.0**2, 0.0, 0.0, 0.0])
     metres = np.full(2, 50.0)
-    assert np.allclose(ground_uncertainty_m(jacobian, covariance, metres), 300.0)
+    assert np.allclose(compute_ground_uncertainty_m(jacobian, covariance, metres), 300.0)
     covariance[5, 5] = 0.01**2
-    turned = ground_uncertainty_m(jacobian, covariance, metres)
+    turned = compute_ground_uncertainty_m(jacobian, covariance, metres)
     assert np.allclose(turned, [300.0, np.hypot(300.0, 800.0 * 0.01 * 50.0)])

@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from catalog.correlation.filters import downsample_blurred
+from optnav_cli.control_points.picture_pyramid import find_count_step, is_ground_shown
 from optnav_cli.control_points.point_match import thin_pixels
-from optnav_cli.control_points.smoothness import find_count_step, shows_ground
 from tests.studies.smooth_pictures import BITS, KINDS, draw_smooth_picture
 
 MARGIN = 8
@@ -18,7 +18,7 @@ def plain(size):
 
 
 def is_ground(patch, count_step):
-    return shows_ground(patch, plain(len(patch)), MARGIN, count_step)
+    return is_ground_shown(patch, plain(len(patch)), MARGIN, count_step)
 
 
 def ground(size, rms, seed=0):
@@ -62,7 +62,7 @@ def test_a_smooth_picture_over_relief_seen_from_aside_is_no_ground(kind):
         patch = map_coordinates(whole, pixels[..., ::-1].reshape(-1, 2).T, order=3)
         patch = patch.reshape(96, 96).astype(np.float32)
         assert is_ground(patch, 0.0)  # relief it is, by its waves alone
-        assert not shows_ground(patch, pixels, MARGIN, 0.0)
+        assert not is_ground_shown(patch, pixels, MARGIN, 0.0)
 
 
 def test_contrast_below_the_rounding_of_counts_is_no_ground():
@@ -103,4 +103,4 @@ def test_behind_a_blur_a_smooth_picture_is_no_ground_and_ground_is(blur_nodes, s
     smooth = (0.01 * (x - 180.0) ** 2 + 0.004 * x * y).astype(np.float32)
     for patch, shown in ((smooth, False), (ground(side, 30.0), True)):
         thin = downsample_blurred(patch, blur_nodes, even)
-        assert shows_ground(thin, thin_pixels(seen, blur_nodes, even), MARGIN, 0.0) is shown
+        assert is_ground_shown(thin, thin_pixels(seen, blur_nodes, even), MARGIN, 0.0) is shown

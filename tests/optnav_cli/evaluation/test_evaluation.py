@@ -9,15 +9,15 @@ import pytest
 from catalog.config import resource
 from catalog.errors import DataError, DifferenceError, NothingToDoError
 from catalog.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
-from optnav_cli.evaluation.evaluation import pool
+from optnav_cli.evaluation.evaluation import combine_evaluations
 from optnav_cli.evaluation.figures import Limits, check_limits
 from optnav_cli.evaluation.files import (
     evaluate_run,
+    format_table,
+    make_stated_rows,
     read_error_rows,
-    stated_rows,
     write_evaluation,
 )
-from optnav_cli.evaluation.table import format_table
 from optnav_cli.frames.run_settings import FileAttitude, read_run_settings
 from optnav_cli.output.run_folder import copy_inputs, read_run
 from tests.optnav_cli.output.approach import RADIUS_M, write_approach
@@ -246,7 +246,7 @@ def test_the_files_hold_the_figures_and_one_row_a_frame(tmp_path, make_run):
 
 def test_runs_of_several_seeds_are_pooled_with_their_own_truths(tmp_path, make_run):
     errors = [make_run(tmp_path / str(seed), count=8, seed=seed) for seed in range(3)]
-    pooled = pool(
+    pooled = combine_evaluations(
         evaluate_run(tmp_path / str(seed), tmp_path / str(seed) / "truth.csv") for seed in range(3)
     ).figures()
     assert (pooled.frames, pooled.n_wrong) == (24, 24)
@@ -373,7 +373,7 @@ def test_an_evaluation_without_a_solved_frame_is_told_to_be_made_anew(tmp_path, 
 
 def test_without_a_truth_rows_hold_what_the_solutions_state(tmp_path):
     planted = write_approach(tmp_path / "run", scale=0.0)
-    rows = stated_rows(read_run(tmp_path / "run"))
+    rows = make_stated_rows(read_run(tmp_path / "run"))
     assert [row.solved for row in rows] == [method is not None for _, method, _ in planted.values()]
     evaluated = evaluate_run(tmp_path / "run", tmp_path / "run" / "truth.csv").frames
     for row, frame in zip(rows, evaluated, strict=True):

@@ -5,8 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from optnav_cli.evaluation.files import evaluate_run
-from optnav_cli.evaluation.table import format_table
+from optnav_cli.evaluation.files import evaluate_run, format_table
 from optnav_cli.output.run_folder import read_run, summarise_run
 from tests.optnav_cli.output.approach import write_approach
 

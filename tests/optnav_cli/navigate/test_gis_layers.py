@@ -21,7 +21,7 @@ from catalog.store.geopackage import (
     open_new_geopackage,
 )
 from optnav_cli.main import run as optnav
-from optnav_cli.navigate.gis_layers import export_run, footprint_of
+from optnav_cli.navigate.gis_layers import compute_footprint, export_run
 from optnav_cli.output.run_folder import read_run
 from tests.catalog.geometry.test_map_pieces import inside
 from tests.optnav_cli.output.approach import write_approach
@@ -187,7 +187,7 @@ def test_areas_of_any_view_are_valid(tmp_path):
         distance = MOON[0] * (1.0 + 10.0 ** rng.uniform(-2.0, 1.5))
         turns = rng.normal(0.0, 30.0), rng.normal(0.0, 30.0), rng.uniform(0.0, 360.0)
         position, turn = looking(lat, rng.uniform(-180.0, 180.0), distance, *turns)
-        pieces = [p for r in footprint_of(camera, position, turn, MOON) for p in split_area(r)]
+        pieces = [p for r in compute_footprint(camera, position, turn, MOON) for p in split_area(r)]
         geometry = encode_parts("MULTIPOLYGON", pieces, 30100)
         if geometry is not None:
             features.append(((len(features) + 1, geometry), None))

@@ -13,7 +13,7 @@ from optnav_cli.frames.folder import Folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.orbit_tables import ZENITH
 from optnav_cli.frames.run_settings import RunSettings
-from optnav_cli.navigate.zenith_file import zenith_rows
+from optnav_cli.navigate.zenith_file import make_zenith_rows
 from optnav_cli.orbit.fit.zenith import read_zenith
 from optnav_cli.orbit.fit.zenith_fit import fit_zenith
 from optnav_cli.reasons import NO_REASON
@@ -52,7 +52,7 @@ def test_limbs_and_stars_give_zenith_distances_and_these_an_orbit(flown, tmp_pat
     times, states = flown
     rng = np.random.default_rng(1)
     rows = [row_of(*both, n, rng) for n, both in enumerate(zip(times, states, strict=True))]
-    made = zenith_rows(folder_of(times), rows)
+    made = make_zenith_rows(folder_of(times), rows)
     assert len(made) == 2 * len(times)
     assert {row["type"] for row in made} == {"star_zenith"}
     # the rotation of the body is 20" here and has no part in it; 100 m of height and relief has 8"
@@ -73,9 +73,9 @@ def test_without_limb_stars_or_solution_there_is_no_row(flown):
     points = row_of(times[0], states[0], 0, rng, method=Method.CONTROL_POINTS)
     stated = row_of(times[1], states[1], 1, rng, source="frames.csv")
     unsolved = Solution("2.png", utc_from_tdb_s(times[2]), NoFix(NO_REASON))
-    assert zenith_rows(folder_of(times), [points, stated, unsolved]) == []
+    assert make_zenith_rows(folder_of(times), [points, stated, unsolved]) == []
     # stated against the stars, as a star sensor does
-    made = zenith_rows(folder_of(times, "camera_from_inertial"), [points, stated, unsolved])
+    made = make_zenith_rows(folder_of(times, "camera_from_inertial"), [points, stated, unsolved])
     assert len(made) == 2
 
 
@@ -83,6 +83,6 @@ def test_rows_stand_in_the_order_of_time_and_a_time_once(flown):
     times, states = flown[0][[5, 0, 0, 9]], flown[1][[5, 0, 0, 9]]
     rng = np.random.default_rng(1)
     rows = [row_of(*both, n, rng) for n, both in enumerate(zip(times, states, strict=True))]
-    utc = [row["utc"] for row in zenith_rows(folder_of(times), rows)]
+    utc = [row["utc"] for row in make_zenith_rows(folder_of(times), rows)]
     assert utc == sorted(utc)
     assert len(utc) == 6

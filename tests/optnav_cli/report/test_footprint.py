@@ -8,7 +8,7 @@ from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_l
 from catalog.geometry.map_pieces import split_area
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.navigate.gis_layers import footprint_of
+from optnav_cli.navigate.gis_layers import compute_footprint
 from tests.catalog.geometry.test_map_pieces import inside
 
 MOON = np.array([1737400.0] * 3)
@@ -56,7 +56,7 @@ CASES = {
 def test_the_ground_in_a_footprint_is_the_ground_in_the_picture(name):
     camera, place, radii = CASES[name]
     position, camera_from_body = looking(*place)
-    rings = footprint_of(camera, position, camera_from_body, radii)
+    rings = compute_footprint(camera, position, camera_from_body, radii)
     pieces = [piece for ring in rings for piece in split_area(ring)]
     rng = np.random.default_rng(3)
     # half of the places near the ground in view, however little of the body that is
@@ -79,7 +79,7 @@ def _near(rings, rng):
 
 def test_the_whole_disc_has_the_area_of_its_cap():
     position, camera_from_body = looking(20.0, -170.0, 12e6)
-    (ring,) = footprint_of(NARROW, position, camera_from_body, MOON)
+    (ring,) = compute_footprint(NARROW, position, camera_from_body, MOON)
     np.testing.assert_allclose(np.linalg.norm(ring, axis=1), MOON[0])
     towards = ring @ position / MOON[0] / np.linalg.norm(position)
     np.testing.assert_allclose(towards, MOON[0] / 12e6, atol=1e-9)  # where sight touches it
@@ -95,10 +95,10 @@ def test_the_whole_disc_has_the_area_of_its_cap():
 )
 def test_a_picture_without_ground_has_no_footprint(place, radii):
     position, camera_from_body = looking(*place)
-    assert footprint_of(NARROW, position, camera_from_body, radii) == []
+    assert compute_footprint(NARROW, position, camera_from_body, radii) == []
 
 
 def test_a_camera_that_ships_has_a_footprint_from_afar():
     position, camera_from_body = looking(0.0, 0.0, 2.6e9)
-    (ring,) = footprint_of(preset_camera("unk"), position, camera_from_body, MOON)
+    (ring,) = compute_footprint(preset_camera("unk"), position, camera_from_body, MOON)
     assert np.isfinite(ring).all()

@@ -128,10 +128,10 @@ def test_points_that_are_dropped_leave_the_others_as_they_were() -> None:
     rng = np.random.default_rng(4)
     flown = DescentFilter(ERRORS)
     flown.add_points(ground(rng, 3), np.diag(rng.uniform(1.0, 9.0, 9)))
-    before, covariance = flown.places_m, flown.point_covariance(2)
+    before, covariance = flown.places_m, flown.get_point_covariance(2)
     flown.keep(np.array([True, False, True]))
     assert flown.places_m == pytest.approx(before[[0, 2]])
-    assert flown.point_covariance(1) == pytest.approx(covariance)
+    assert flown.get_point_covariance(1) == pytest.approx(covariance)
 
 
 def test_the_joint_state_is_honest_where_independent_landmarks_are_not() -> None:
@@ -159,6 +159,6 @@ def test_what_sightings_have_in_common_is_not_averaged_away() -> None:
         flown = DescentFilter(errors)
         numbers = flown.add_points(places, 1e-6 * np.eye(300))
         flown.update(CAMERA, POSE, numbers, seen, shared)
-        sigmas.append(np.sqrt(np.diag(flown.pose_covariance())[:3]))
+        sigmas.append(np.sqrt(np.diag(flown.compute_pose_covariance())[:3]))
     assert sigmas[0].max() < 1.0
     assert sigmas[1] == pytest.approx(np.full(3, 5.0), rel=0.05)

@@ -11,8 +11,8 @@ from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.navigate.descent.landmark import (
     choose_pixels,
+    compute_hessian_determinant,
     cut_patch,
-    hessian_determinant,
     match_patch,
 )
 from optnav_cli.reasons import ReasonCode
@@ -39,11 +39,11 @@ def picture_of(pose: Pose) -> Float32Array:
 def test_the_hessian_of_a_blob_is_largest_at_its_middle() -> None:
     x, y = np.meshgrid(np.arange(60.0), np.arange(50.0))
     blob = np.exp(-((x - 33.0) ** 2 + (y - 21.0) ** 2) / 18.0).astype(np.float32)
-    response = hessian_determinant(blob)
+    response = compute_hessian_determinant(blob)
     assert np.unravel_index(int(np.argmax(response)), response.shape) == (21, 33)
     # a straight edge has curvature in one direction alone
     edge = np.tile(np.tanh((np.arange(60.0) - 30.0) / 4.0), (50, 1)).astype(np.float32)
-    inner = hessian_determinant(edge)[10:-10, 10:-10]
+    inner = compute_hessian_determinant(edge)[10:-10, 10:-10]
     assert float(np.abs(inner).max()) < 0.02 * float(response.max())
 
 

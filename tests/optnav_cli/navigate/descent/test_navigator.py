@@ -165,13 +165,13 @@ def test_landmarks_outvote_a_few_wrong_windows(
         used = {k: k < 5 for k in range(11)} | {100 + k: True for k in range(len(args[4]))}
         return SimpleNamespace(used=used)
 
-    monkeypatch.setattr(descent, "_joined", joined)
+    monkeypatch.setattr(descent, "_join", joined)
     with closing(FrameWorker(RunInputs(pictures, [catalog]))) as worker:
-        navigator = worker.descent(InertialSettings())
+        navigator = worker.make_descent(InertialSettings())
         assert navigator is not None
         monkeypatch.setattr(navigator, "_solved", True)
-        monkeypatch.setattr(navigator, "_after_jump", lambda *_: "jumped")
-        found: Any = navigator._updated
+        monkeypatch.setattr(navigator, "_update_after_jump", lambda *_: "jumped")
+        found: Any = navigator._update
         assert found(None, None, windows, landmarks).used[0]
         assert found(None, None, windows, []) == "jumped"
 
@@ -192,17 +192,17 @@ def test_a_few_windows_against_the_track_are_no_jump_of_it(
     frame: Any = SimpleNamespace(camera=SimpleNamespace(coarse_focal_px=1000.0))
     stated = Pose(place_m + [2e3, 0.0, 0.0], Rotation.identity())
     used = dict.fromkeys(range(count), True)
-    monkeypatch.setattr(descent, "_joined", lambda state, *_: descent._Updated(state, used))
+    monkeypatch.setattr(descent, "_join", lambda state, *_: descent._Updated(state, used))
     with closing(FrameWorker(RunInputs(pictures, [catalog]))) as worker:
-        navigator = worker.descent(InertialSettings())
+        navigator = worker.make_descent(InertialSettings())
         assert navigator is not None
         if jumps:
-            made = navigator._after_jump(frame, stated, windows)
+            made = navigator._update_after_jump(frame, stated, windows)
             assert made.remark.code == ReasonCode.TRACK_JUMP
             assert "the ground lies 10 m from where" in made.remark.text
         else:
             with pytest.raises(NoSolutionError, match="7 of 7 windows agree"):
-                navigator._after_jump(frame, stated, windows)
+                navigator._update_after_jump(frame, stated, windows)
 
 
 def test_rows_that_run_back_are_refused(

@@ -7,7 +7,7 @@ from catalog.arrays import FloatArray
 from optnav_cli.navigate.descent.errors import WindowError
 from optnav_cli.navigate.descent.filter import TRACK, TrackErrors
 from optnav_cli.navigate.descent.state import JointState
-from optnav_cli.navigate.descent.windows import STEP, WindowKey, overlap
+from optnav_cli.navigate.descent.windows import STEP, WindowKey, compute_overlap
 
 COMMON_SHARE = 0.15
 WINDOWS = TRACK + 3  # what windows of a level have in common stands before them
@@ -27,12 +27,12 @@ def places(count: int) -> FloatArray:
 
 def test_windows_err_alike_as_far_as_they_share_ground() -> None:
     here = WindowKey(0, 24, 0, 0)
-    assert overlap(here, here) == 1.0
-    assert overlap(here, WindowKey(0, 24, 0, 24 // STEP)) == 0.0
-    assert overlap(here, WindowKey(0, 24, 0, 12 // STEP)) == pytest.approx(0.5)
+    assert compute_overlap(here, here) == 1.0
+    assert compute_overlap(here, WindowKey(0, 24, 0, 24 // STEP)) == 0.0
+    assert compute_overlap(here, WindowKey(0, 24, 0, 12 // STEP)) == pytest.approx(0.5)
     # a small window inside a large one: the root of its share
-    assert overlap(here, WindowKey(0, 12, 0, 0)) == pytest.approx(0.5)
-    assert overlap(here, WindowKey(1, 24, 0, 0)) == 0.0
+    assert compute_overlap(here, WindowKey(0, 12, 0, 0)) == pytest.approx(0.5)
+    assert compute_overlap(here, WindowKey(1, 24, 0, 0)) == 0.0
 
 
 def test_the_order_in_which_windows_join_does_not_matter() -> None:

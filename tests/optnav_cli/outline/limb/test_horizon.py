@@ -15,12 +15,12 @@ from catalog.terrain.skyline.limb import LimbRelief, make_nadir_axes
 from optnav_cli.outline.limb.limb_rays import (
     compute_relief_covariance,
     compute_rough_errors,
+    load_horizon_sizes,
     make_limb_rays,
 )
 from optnav_cli.outline.limb.method import navigate
 from optnav_cli.outline.limb.model import azimuths_about_nadir, fit_limb
 from optnav_cli.outline.limb.relief_skyline import make_relief_skyline
-from optnav_cli.outline.limb.sizes import load_horizon_sizes
 from optnav_cli.outline.limb.skyline import fit_repeatedly
 from tests.optnav_cli.outline.limb.limbs import (
     CAMERA,
