@@ -52,7 +52,7 @@ class TimedPosition:
 
 @dataclass(frozen=True)
 class ArcDisagreement:
-    """How far a fix lies from the arc's prediction, in words.
+    """Say in words where a fix lies relative to the arc's prediction.
 
     new_arc  whether the fix begins a new arc; otherwise it is left out until the next one agrees
     """

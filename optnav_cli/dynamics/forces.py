@@ -66,7 +66,7 @@ class Unmodelled:
 
     @property
     def spectral_density(self) -> float:
-        """Of the white noise that moves a craft as far in the long run, m^2/s^3 an axis."""
+        """Density of white noise that moves a craft as far in the long run, m^2/s^3 per axis."""
         return 2.0 * self.sigma_m_s2**2 * self.lasting_s
 
 
@@ -76,7 +76,7 @@ class Forces:
     def __init__(
         self, motion: Ephemeris, settings: ForcesSettings = OBLATE, beside: Path = Path()
     ) -> None:
-        """What moves a craft.
+        """Prepare the forces that move a craft.
 
         motion  of the body; its file may leave [gravity] out, see above
         beside  the folder that the field's file is looked for from
@@ -117,7 +117,7 @@ class Forces:
             self._tide_error = 2.0 * body.orbit.tide_error * square
 
     def values(self) -> dict[str, FloatArray]:
-        """What may be solved for, by name, as the settings have it.
+        """Return the parameters that may be estimated, by name, as the settings state them.
 
         "acceleration" along R, N, B, m/s^2; "srp", area over mass times reflectivity, m^2/kg;
         "thrust_1", the acceleration along R, N, B of the first arc of thrust.
@@ -177,7 +177,7 @@ class Forces:
         return pull, slope[:, :3]
 
     def unmodelled(self, position_m: FloatArray) -> Unmodelled:
-        """What the forces here leave out at a place, by Kaula's rule and the field's errors."""
+        """Estimate the forces left out at a place, by Kaula's rule and the field's errors."""
         sigmas, lasting = self._unmodelled(np.array([np.linalg.norm(position_m)]))
         return Unmodelled(float(sigmas[0]), float(lasting[0]))
 
@@ -272,12 +272,12 @@ class OrbitMotion:
         self._values = forces.values() | dict(values or {})
 
     def with_values(self, values: Mapping[str, FloatArray]) -> "OrbitMotion":
-        """The same motion with other values of some parameters."""
+        """Return this motion with other values of some parameters."""
         return OrbitMotion(self._forces, self._values | dict(values))
 
     @property
     def values(self) -> dict[str, FloatArray]:
-        """Of the parameters of the forces, by name."""
+        """Values of the parameters of the forces, by name."""
         return dict(self._values)
 
     def propagate(
@@ -294,7 +294,7 @@ class OrbitMotion:
     def partials(
         self, state: FloatArray, from_s: float, to_s: FloatArray, parameters: Sequence[str]
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """As `propagate`, and derivatives (n, 6, p) by parameters of the forces.
+        """Propagate as `propagate` does, with derivatives (n, 6, p) by parameters of the forces.
 
         parameters  names of `Forces.values`; their components follow each other
         """
@@ -314,7 +314,7 @@ class OrbitMotion:
         counts: IntArray,
         parameters: Sequence[str],
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """As `partials`, from each of states (n, 6) at times (n,).
+        """Propagate as `partials` does, from each of states (n, 6) at times (n,).
 
         to_s    (m,) times of one leg after the other, ever later;  counts  (n,) how many each has
         """
@@ -336,7 +336,7 @@ class OrbitMotion:
         return paths[:, :6], derivatives[:, :, :6], derivatives[:, :, 6:]
 
     def states(self, state: FloatArray, from_s: float, to_s: FloatArray) -> FloatArray:
-        """As `propagate`, without the derivatives, in five sixths of the time."""
+        """Propagate without the derivatives, in five sixths of the time of `propagate`."""
         return self._paths(state, from_s, to_s, self._columns(()))
 
     def _paths(
@@ -375,24 +375,24 @@ class OrbitMotion:
         return np.kron(block, np.eye(3)).astype(np.float64)
 
     def circular_speed(self, position_m: FloatArray) -> float:
-        """Of a circular orbit through a place, m/s."""
+        """Return the speed of a circular orbit through a place, m/s."""
         return float(np.sqrt(self._forces.gm / np.linalg.norm(position_m)))
 
     def radian_s(self, position_m: FloatArray) -> float:
-        """How long a circular orbit there, or the body's own about its planet, takes a radian, s.
+        """Return the time per radian of a circular orbit there, or of the body's own orbit, s.
 
         The shorter of both rules: far from a small moon its planet bends the path.
         """
         return float(self.radians_s(position_m[None])[0])
 
     def radians_s(self, positions_m: FloatArray) -> FloatArray:
-        """The same (n,) of places (n, 3)."""
+        """Return `radian_s` (n,) of places (n, 3)."""
         squared_rates = self._forces.gm / np.linalg.norm(positions_m, axis=1) ** 3
         durations: FloatArray = 1.0 / np.sqrt(squared_rates + self._forces.planet_rate**2)
         return durations
 
     def _columns(self, parameters: Sequence[str]) -> tuple[IntArray, list[str]]:
-        """Of each component of parameters: what it acts along, and whose it is."""
+        """List for each component of parameters its direction and its parameter."""
         kinds: list[int] = []
         owners: list[str] = []
         for name in parameters:

@@ -197,7 +197,7 @@ class _Table:
         return HarmonicField(self.radius_m, c, s, stated, self.path.name)
 
     def _check_body(self, body: Body) -> float:
-        """What the coefficients are multiplied by, because the body's GM is used with them."""
+        """Return the factor of the coefficients, because the body's GM is used with them."""
         gm_share = self.gm / body.gm_m3_s2
         off = abs(gm_share - 1.0)
         if off > OTHER_BODY_GM or abs(self.radius_m / body.radius_m - 1.0) > OTHER_BODY_RADIUS:

@@ -23,7 +23,7 @@ GRADIENT_DEGREE = 20
 
 
 def harmonic_tables(field: HarmonicField, degree: int) -> tuple[Table, Table]:
-    """What `pull` and `gradient` sum: packed recursions and coefficients, and sectorial factors.
+    """Pack recursions, coefficients and sectorial factors for `pull` and `gradient`.
 
     degree  of the gradient, at most
     """

@@ -58,7 +58,7 @@ class ArcTables:
         self._together: Piece = (np.empty(0), np.empty(0), np.empty(0))
 
     def span(self, first_s: float, last_s: float) -> tuple[float, Piece]:
-        """What holds from one time to another, TDB s.
+        """Cut the tables to a span of time, TDB s.
 
         Returns the start of the first interval, rotations (k, 3, 3) from inertial axes to the
         field's there, rotation vectors (k, 6, 3) from there on and places (k, 6, n, 3) of the
@@ -173,7 +173,7 @@ class ArcWorld(NamedTuple):
 
 @kernel
 def interval_of(t: float, world: ArcWorld) -> tuple[int, float]:
-    """Of the tables at a time, and the share of it that is past."""
+    """Find the interval of the tables at a time, and the share of it that is past."""
     share = (t - world.start_s) / world.spacing_s
     interval = max(0, min(math.floor(share), world.rotations.shape[0] - 1))
     return interval, share - interval

@@ -26,7 +26,7 @@ def considered(gain: FloatArray, errors: FloatArray) -> FloatArray:
 
 
 def correlated(gain: FloatArray, roots: FloatArray, correlation: FloatArray) -> FloatArray:
-    """What measurements that err alike add to a covariance (k, k) that takes each for itself.
+    """Add errors that measurements share to a covariance (k, k) of independent ones.
 
     gain (k, n d) d state / d measurement;  roots (n, d, d) Cholesky's of their covariances
     correlation (n, n) of their errors

@@ -63,14 +63,14 @@ class VectorPrior:
         return linearised(self._expected - state[self._part], self._jacobian, self._weights)
 
     def cost(self, state: FloatArray) -> float:
-        """What `linearise` costs."""
+        """Return the cost that `linearise` has."""
         off = self._expected - state[self._part]
         return float(self._weights @ (off * off))
 
 
 @dataclass(frozen=True)
 class Iteration:
-    """How a solution is iterated.
+    """Settings of the iteration of a solution.
 
     max_steps       before it counts as not settled
     settled_sigmas  a step below this share of its own sigma is the last

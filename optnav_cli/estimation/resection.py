@@ -154,7 +154,7 @@ def with_dependent_errors(
     errors_px: FloatArray,
     correlation: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray]:
-    """How a solution changes by errors that sightings share: a step (k,), its covariance (k, k).
+    """Propagate errors that sightings share to the solution: step (k,), covariance (k, k).
 
     covariance   (k, k) of a solution for which each sighting erred for itself
     measured     the sightings at that solution, by their stated covariances

@@ -31,7 +31,7 @@ MAX_NUISANCE_ROWS = 6000  # a dense matrix of their square is 0.3 GB
 
 @dataclass(frozen=True, eq=False)
 class NodeMeasurement:
-    """What is measured at a node: y - h(x).
+    """A measurement at a node: y - h(x).
 
     node        its number
     residual    (m, k)  measured less computed; further columns are other right sides

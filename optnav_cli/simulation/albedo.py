@@ -74,7 +74,7 @@ class Albedo:
         return np.clip(relative, MIN_FACTOR, MAX_FACTOR).astype(np.float32)
 
     def on_body(self, seed: int, body_from_scene: FloatArray) -> Reflectivity:
-        """The same for a scene in a turned frame, (3, 3)."""
+        """Return it for a scene in a turned frame, (3, 3)."""
 
         def reflectivity(directions: FloatArray, sizes_m: FloatArray) -> Float32Array:
             return self.factors(seed, directions @ body_from_scene.T, sizes_m)

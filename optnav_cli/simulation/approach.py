@@ -69,7 +69,7 @@ class Approach(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=T
             )
 
     def shortened(self, frames: int) -> Self:
-        """The same path in larger steps."""
+        """Return the path in larger steps."""
         fewer = max(2, min(self.approach.frames, frames))
         approach = msgspec.structs.replace(self.approach, frames=fewer)
         return msgspec.structs.replace(self, approach=approach)

@@ -139,7 +139,7 @@ def source_glare(
 def _brightness(
     psi: FloatArray, bearing: FloatArray, slope: FloatArray, theta: float, surface: SurfaceSettings
 ) -> FloatArray:
-    """Of points of the surface: psi and bearing from the axis, slope down to them."""
+    """Compute brightness by psi, bearing from the axis and slope down to the points."""
     up = math.radians(surface.light_elevation_deg)
     half = math.radians(surface.light_half_width_deg)
     brightness = np.full(psi.shape, surface.ambient)

@@ -102,7 +102,7 @@ class Descent(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             )
 
     def shortened(self, frames: int) -> Self:
-        """The same path in larger steps."""
+        """Return the path in larger steps."""
         each = max(1.0, self.descent.duration_s / max(frames - 1, 1))
         if len(picture_times(self.descent)) <= frames:
             return self

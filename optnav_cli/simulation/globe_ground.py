@@ -108,7 +108,7 @@ class GlobeTerrain:
         return make_ground(heights, grid.north, grid.west, step, step, self._heights.radius_m)
 
     def _raise(self, posting_m: float, lat: FloatArray) -> Float32Array:
-        """What to add at latitudes (n,), m, for what the limb of coarse means has lost."""
+        """Return the heights to add at latitudes (n,), m, for the limb that coarse means lose."""
         if posting_m not in self._lost:
             finest, wanted = self._mean_skyline(self.postings()[0]), self._mean_skyline(posting_m)
             self._lost[posting_m] = float(np.mean(finest - wanted))

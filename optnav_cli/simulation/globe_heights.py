@@ -112,7 +112,7 @@ class GlobeHeights:
         self._splines: dict[int, Float32Array] = {}
 
     def level_for(self, posting_m: float) -> int:
-        """How often the model is halved for a grid of this posting: its level is about as fine."""
+        """Choose the number of halvings of the model for a grid of this posting."""
         wanted = round(float(np.log2(max(posting_m / self.posting_m, 1.0))))
         rows, most = self._means[0].shape[0], 0
         while rows % 2 == 0 and rows // 2 >= MIN_ROWS:
@@ -148,7 +148,7 @@ class GlobeHeights:
 
 
 class Relief(Protocol):
-    """What is added to the heights of a body; see `SyntheticRelief` and `ModelError`."""
+    """Relief added to the heights of a body; see `SyntheticRelief` and `ModelError`."""
 
     def turned_window(self, body_from_grid: FloatArray, grid: Lattice) -> Float32Array:
         """Heights to add (rows, cols), m, on a grid in a turned frame."""
@@ -181,7 +181,7 @@ WHOLE_BODY = Cap(-np.pi, -0.5 * np.pi, np.pi, 0.5 * np.pi)
 
 
 def seen_from(positions_m: ArrayLike, lowest_m: float, highest_m: float) -> Cap:
-    """What lies within the horizon of a flight, mountains beyond it included.
+    """Cut the ground to the horizon of a flight, mountains beyond it included.
 
     positions_m          (n, 3) of the cameras, body frame, m
     lowest_m, highest_m  radii that all ground lies between

@@ -100,10 +100,11 @@ class Scenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             for step in range(orbit.frames):
                 after = (step - (orbit.frames - 1) / 2.0) * orbit.spacing_s
                 c, s = np.cos(rate * after), np.sin(rate * after)
-                place, forward = radius * (c * up + s * ahead), c * ahead - s * up
+                position, forward = radius * (c * up + s * ahead), c * ahead - s * up
                 later = number * orbit.pass_interval_s + step * orbit.spacing_s
                 tdb_s = float(compute_tdb_s_after(orbit.start_utc, later)[0])
-                flight.append(Epoch(len(flight), number, tdb_s, place, forward, sun, True, ground))
+                at = len(flight), number, tdb_s
+                flight.append(Epoch(*at, position, forward, sun, True, ground))
         return flight
 
 

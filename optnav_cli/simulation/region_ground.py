@@ -140,7 +140,7 @@ class TruthTerrain:
         )
 
     def nodes(self, factor: int, box: Box) -> int:
-        """How many nodes the window of a box has."""
+        """Count the nodes of the window of a box."""
         _, _, rows, cols = self._place(factor, box)
         return rows * cols
 
@@ -224,7 +224,7 @@ class TruthTerrain:
     def _within(
         self, source: DemSource, lat: FloatArray, lon: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """How far nodes belong to a model, and their parallels and meridians, moved to its edge.
+        """Weigh nodes by their place in a model; also return their coordinates moved to its edge.
 
         (rows, cols) 1 in the model, falling smoothly to 0 over FEATHER_M outside: catalogs are
         made from the whole model, so the truth is the model's up to its edge.
@@ -401,14 +401,14 @@ class RegionGround:
         return lowest, highest
 
     def _near_gsd(self, camera: Camera, position: FloatArray) -> float:
-        """Of the highest ground that the camera may see: never coarser than what is seen."""
+        """Return the GSD of the highest ground in view: never coarser than what is seen."""
         height = float(np.linalg.norm(position)) - self._terrain.body.radius_m
         lowest, highest = self._heights_m(position)
         over = max(height - highest, 0.3 * (height - lowest), 1.0)
         return over * camera.angular_resolution
 
     def _near_box(self, position: FloatArray, rays: FloatArray) -> Box:
-        """What rays (..., 3) from low over the ground may meet, between its lowest and highest."""
+        """Bound the ground that rays (..., 3) from low over it may meet."""
         radius = self._terrain.body.radius_m
         points = []
         for height in self._heights_m(position):

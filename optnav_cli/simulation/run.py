@@ -73,7 +73,7 @@ class Simulation:
 
     @cached_property
     def motion(self) -> Ephemeris:
-        """How the body turns."""
+        """Rotation of the body."""
         return scenario_motion(self.scenario, load_body(self.scenario.body))
 
     @cached_property
@@ -90,7 +90,7 @@ class Simulation:
 
     @cached_property
     def _calibration_errors(self) -> list[tuple[float, Rotation | None]]:
-        """How far each camera is off from what its file states, by the sigmas of the file.
+        """Errors of each camera against its file, drawn by the sigmas of the file.
 
         The blur, px, and a turn of the whole camera that stated attitudes do not know.
         """

@@ -95,7 +95,7 @@ def scenario_cameras(scenario: ScenarioBase) -> list[Camera]:
 
 
 def scenario_motion(scenario: ScenarioBase, body: Body) -> Ephemeris:
-    """How the scenario's body turns. Raises ConfigError or DataError for a kernel."""
+    """Read the rotation of the scenario's body. Raises ConfigError or DataError for a kernel."""
     return load_ephemeris(body, [resolve_path(name, Path.cwd()) for name in scenario.spice.kernels])
 
 

@@ -25,7 +25,7 @@ from optnav_cli.simulation.exposure import ATTITUDE, POINTING, PRIOR, Epoch, Exp
 
 @dataclass(frozen=True)
 class FileNames:
-    """What becomes of the name of a scenario's file, by its kind."""
+    """Conversions of the names of a scenario's files, by kind."""
 
     terrain: Callable[[str], str]
     shape: Callable[[str], str]
@@ -35,7 +35,7 @@ class FileNames:
 
 
 class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What every scenario file says, as it is written.
+    """Settings of every scenario file, as written.
 
     beside  further cameras of the same ship; all take their pictures at the same times
     body    a name of configs/bodies, or the path of a body file, from the scenario's folder
@@ -87,7 +87,7 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         raise NotImplementedError
 
     def shortened(self, frames: int) -> Self:
-        """The same scenario with fewer pictures a camera, for a quick look."""
+        """Return the scenario with fewer pictures per camera, for a quick look."""
         raise NotImplementedError
 
     def check(self) -> None:
@@ -106,7 +106,7 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             )
 
     def with_files(self, names: FileNames) -> Self:
-        """The same with other names of its files."""
+        """Return the scenario with other names of its files."""
         dems = (msgspec.structs.replace(dem, path=names.terrain(dem.path)) for dem in self.dem)
         mounts = (
             msgspec.structs.replace(mount, name=names.camera(mount.name)) for mount in self.beside
@@ -178,12 +178,12 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         return (sections.MountedCamera(self.camera.name), *self.beside)
 
     def camera_names(self) -> list[str]:
-        """What the files of the cameras' pictures are called by."""
+        """List the names of the cameras' pictures."""
         return [m.name.rpartition("/")[2].removesuffix(".toml") for m in self.mounts()]
 
 
 class ShapeScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What is flown over is a small body, whose ground is a shape model refined by [detail]."""
+    """A flight over a small body, whose ground is a shape model refined by [detail]."""
 
     mesh: MeshSettings
     dem: tuple[DemSettings, ...] = ()

@@ -138,7 +138,7 @@ class ErrorTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     slope_rms_m: tuple[ErrorRms, ...] = ()
 
     def spectrum(self) -> ErrorSpectrum:
-        """The same for the truth. Raises ConfigError for lists that do not go together."""
+        """Return the spectrum of the truth. Raises ConfigError for lists that do not match."""
         where = "[truth] model_error"
         pairs = ("box_km", "rms_m"), ("slope", "slope_rms_m")
         for by, of in pairs:
@@ -170,7 +170,7 @@ class AlbedoMapSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
 
 class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How the true world differs from what a navigator knows of it.
+    """Differences of the true world from the navigator's models.
 
     model_error  what the terrain model is wrong by: "none", "gld100" (LROC WAC GLD100 against
                  LOLA), or a table

@@ -20,7 +20,7 @@ BIAS_SHARE = 0.01  # counts of a dark pixel over full scale: noise must be able 
 
 @dataclass(frozen=True, eq=False)
 class Besides:
-    """What falls on the detector besides the body's light, (rows, cols) each; None for nothing.
+    """Light on the detector besides the body's, (rows, cols) each; None for nothing.
 
     cover, brightness  share of each pixel that the ship covers, and how bright it is there
     veil               stray light; as `brightness` a share of the bright ground

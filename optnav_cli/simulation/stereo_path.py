@@ -148,14 +148,14 @@ class StereoScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_o
     def exposures(self, motion: Ephemeris) -> list[Exposure]:
         """The pictures: each camera where it is mounted, with what is stated of it."""
         drawn = self.world.camera == "drawn"
-        found = []
+        taken = []
         for exposure in super().exposures(motion):
             mount = self.mount[exposure.camera]
             rng = np.random.default_rng([self.seed, MOUNTING, exposure.camera])
             off = Rotation.from_rotvec(drawn * mount.error_rad * rng.normal(size=3))
             ship, stated = exposure.camera_from_body, exposure.reported_camera_from_body
             prior = exposure.prior_m
-            found.append(
+            taken.append(
                 replace(
                     exposure,
                     position_m=exposure.position_m + ship.inv().apply(mount.place_m),
@@ -164,7 +164,7 @@ class StereoScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_o
                     prior_m=None if prior is None else prior + ship.inv().apply(mount.place_m),
                 )
             )
-        return found
+        return taken
 
 
 class StereoTerrain:

@@ -190,7 +190,7 @@ class Surroundings:
             self._rays = camera.unproject(np.stack([x, y], axis=-1).astype(np.float64))
 
     def besides(self, exposure: Exposure, radiance: Float32Array) -> Besides | None:
-        """What to expose beside the radiance of a picture, None for nothing.
+        """Return the light to expose beside the radiance of a picture, None for nothing.
 
         The Earth, where it is wanted and in view, is put into the radiance, in place.
         """

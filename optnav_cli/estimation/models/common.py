@@ -20,7 +20,7 @@ C = TypeVar("C", bound="AdjustableCamera")
 
 
 class AdjustableCamera(ProjectingCamera, Protocol):
-    """What an adjustment needs of a camera."""
+    """A camera as an adjustment needs it."""
 
     @property
     def name(self) -> str:
@@ -31,11 +31,11 @@ class AdjustableCamera(ProjectingCamera, Protocol):
         """(x, y) where its boresight meets the picture."""
 
     def with_lens(self, factor: float, shift_px: FloatArray, k1: float) -> Self:
-        """The same with its focal length multiplied, its principal point moved, k1 added to."""
+        """Return the camera with another focal length, principal point and k1."""
 
 
 class Common(StrEnum):
-    """What may be common to frames."""
+    """Parameters that may be common to frames."""
 
     BODY_ROTATION = "body_rotation"
     ORIGIN = "origin"
@@ -90,7 +90,7 @@ class CommonNumber:
 
     @property
     def label(self) -> str:
-        """What it is a part of, in words."""
+        """Name of the parameter that it is a part of."""
         words = {
             Common.BODY_ROTATION: "the rotation of the body frame",
             Common.ORIGIN: "the origin",
@@ -140,7 +140,7 @@ class CommonState:
 
     @property
     def turn(self) -> Rotation:
-        """Of the catalog, to the frame that positions are stated in."""
+        """Rotation of the catalog to the frame that positions are stated in."""
         return _rotation(self.part(Common.BODY_ROTATION))
 
     @property
@@ -151,11 +151,11 @@ class CommonState:
 
     @property
     def scale(self) -> float:
-        """Of the catalog."""
+        """Scale of the catalog."""
         return 1.0 + float(self.part(Common.SCALE).sum())
 
     def boresight(self, camera: str) -> Rotation:
-        """Of a camera, from what attitudes state."""
+        """Return the rotation of a camera from the attitude stated."""
         mounting = self.part(Common.MOUNTING, camera)
         return _rotation(mounting if mounting.size else self.part(Common.BORESIGHT, camera))
 
@@ -167,11 +167,11 @@ class CommonState:
         return camera.with_lens(self.focal_factor(camera.name), shift, k1)
 
     def clock_s(self, camera: str) -> float:
-        """By how much its pictures are taken later than they say."""
+        """Return the delay of its pictures after their time stamps, s."""
         return float(self.part(Common.CLOCK, camera).sum())
 
     def focal_factor(self, camera: str) -> float:
-        """Of a camera's focal length, to that of its file."""
+        """Return the ratio of a camera's focal length to that of its file."""
         return 1.0 + float(self.part(Common.FOCAL, camera).sum())
 
     def places_m(self, catalog_m: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from optnav_cli.reasons import ReasonCode
 
 
 class ProjectingCamera(Protocol):
-    """What resection needs of a camera."""
+    """A camera as resection needs it."""
 
     def project(self, points: FloatArray) -> FloatArray:
         """Pixels (..., 2) of camera-frame points (..., 3); NaN for those out of view."""

@@ -56,7 +56,7 @@ class Correction:
 
 @dataclass(frozen=True, eq=False)
 class DeliveryTask:
-    """What boxes and trials have in common."""
+    """Inputs that boxes and trials have in common."""
 
     settings: DeliverySettings
     path: ReferencePath
@@ -67,7 +67,7 @@ class DeliveryTask:
 
     @property
     def later(self) -> list[FloatArray]:
-        """What thrust adds after each correction, unknown to it: covariances (3, 3)."""
+        """Covariances (3, 3) of the unknown thrust after each correction."""
         return [*(correction.unknown for correction in self.corrections[1:]), self.after]
 
 

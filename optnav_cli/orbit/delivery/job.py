@@ -52,12 +52,12 @@ class DeliveryResult:
 
     @property
     def bound_m_s(self) -> float:
-        """Of all corrections together, by the boxes."""
+        """Sum of all corrections by the boxes, m/s."""
         return float(self.boxes[-1].spent.max())
 
     @property
     def total_m_s(self) -> float:
-        """Of all corrections together, 99.73 % of the trials."""
+        """Sum of all corrections, 99.73 % of the trials, m/s."""
         return float(np.percentile(self.trials.total, SHARE))
 
     def stages(self) -> list[dict[str, object]]:

@@ -126,7 +126,7 @@ class TargetMotion:
     def follow(
         self, state: FloatArray, span: tuple[float, float], events: Sequence[Event], **options: Any
     ) -> Any:
-        """What scipy's solve_ivp found of a state (6,) and its transition over a span of TDB s.
+        """Integrate a state (6,) and its transition over a span of TDB s with scipy's solve_ivp.
 
         Raises NoSolutionError for a path that begins inside the centre or meets it: through its
         middle steps would become as small as they can.
@@ -200,7 +200,7 @@ class ReferencePath:
         return self.from_transition(self.transitions[number])
 
     def from_transition(self, transition: FloatArray) -> FloatArray:
-        """The same by the transition (6, 6) from the first time to a time before the entry."""
+        """Map it by the transition (6, 6) from the first time to a time before the entry."""
         partials: FloatArray = (
             self.by_state @ self.transitions[self.entry] @ np.linalg.inv(transition)
         )

@@ -100,7 +100,7 @@ class OrbitEvaluation:
 
     @property
     def figures(self) -> Figures:
-        """Of the rows of smoothed.csv."""
+        """Figures of the rows of smoothed.csv."""
         return self.at_fixes.figures_if_any()
 
     def summary(self) -> dict[str, object]:
@@ -203,14 +203,14 @@ def _rows_of_path(orbit: StoredOrbit, truths: Sequence[Truth]) -> Iterator[Solut
     """The orbit's places at the times of a truth within its arc, as rows of solution.csv."""
     path = OrbitPath(orbit)
     inside = [t for t in truths if path.first_s <= t.tdb_s <= path.last_s]
-    inside.sort(key=lambda one: one.tdb_s)
-    predicted = path.rows(np.array([one.tdb_s for one in inside])).rows
+    inside.sort(key=lambda row: row.tdb_s)
+    predicted = path.rows(np.array([row.tdb_s for row in inside])).rows
     frame = orbit.body.catalog_frame
-    for one, state, spread in zip(inside, predicted.states, predicted.covariances, strict=True):
-        turn = stated_turn(orbit.ephemeris, one.tdb_s)
+    for row, state, spread in zip(inside, predicted.states, predicted.covariances, strict=True):
+        turn = stated_turn(orbit.ephemeris, row.tdb_s)
         position = frame.transform_to_catalog(turn @ state[:3])
         covariance = frame.transform_covariance_to_catalog(turn @ spread[:3, :3] @ turn.T)
-        yield Solution(one.file, one.utc, Fix(Method.ORBIT, position, covariance))
+        yield Solution(row.file, row.utc, Fix(Method.ORBIT, position, covariance))
 
 
 def errors_of(orbit: StoredOrbit, truths: Sequence[Truth]) -> OrbitErrors:

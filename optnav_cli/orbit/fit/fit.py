@@ -105,7 +105,7 @@ class OrbitSolver:
         self.sigmas: FloatArray | None = None
 
     def of(self, problem: OrbitProblem) -> "OrbitSolver":
-        """The same of a part of the problem."""
+        """Return the solver of a part of the problem."""
         return OrbitSolver(problem, "white" if self.solve is smooth else "nuisance")
 
     def step(self, at: Trajectory, weights: FloatArray) -> tuple[Trajectory, SmoothedArc, float]:
@@ -369,7 +369,7 @@ def _check_breaks(
 
 
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """By the directions of a positive matrix that are known to some digits."""
+    """Solve along the directions of a positive matrix that are known to some digits."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     values, axes = np.linalg.eigh(matrix * np.outer(scale, scale))
     kept = values > 1e-10 * max(float(values[-1]), 1e-300)
@@ -417,7 +417,7 @@ def with_considered(
 
 
 def densify(fit: OrbitFit, step_s: float) -> OrbitFit:
-    """The same orbit with nodes between the fixes, no farther apart than a step."""
+    """Return the orbit with nodes between the fixes, no farther apart than a step."""
     problem, times = fit.problem, fit.problem.times
     marks = np.arange(math.ceil(times[0] / step_s), math.floor(times[-1] / step_s) + 1) * step_s
     if len(marks) > MAX_BETWEEN:

@@ -67,7 +67,7 @@ class StoredState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class StoredTest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the residuals said."""
+    """A test of the residuals as it is stored."""
 
     fixes: int
     used: int
@@ -139,7 +139,7 @@ class StoredOrbit:
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the state at the epoch and of the parameters estimated."""
+        """Covariance of the state at the epoch and of the parameters estimated."""
         return matrix_of(self.file.state.covariance)
 
 

@@ -117,7 +117,7 @@ def fit_runs(
 
 
 def _other_sights(runs: Sequence[Path]) -> list[str]:
-    """What else the runs hold that an orbit can be fitted through, for people."""
+    """Say what else in the runs an orbit can be fitted through."""
     files = [run / ZENITH_CSV for run in runs]
     return [
         f"{file} is there too: name it to fit the zenith distances in place of the fixes"
@@ -158,7 +158,7 @@ def problem_of(
     priors: list[OrbitPrior],
     beside: Path,
 ) -> OrbitProblem:
-    """What is fitted; beside: where a gravity field is sought."""
+    """Prepare the problem; beside: where a gravity field is sought."""
     motion = ArcMotion(Forces(ephemeris, settings.forces, beside), settings.noise)
     parameters = list(settings.parameter)
     return OrbitProblem(motion, found.fixes, priors, parameters, found.body.radius_m)

@@ -88,7 +88,7 @@ class OemPath:
         return [segment.usable for segment in self._oem.segments if len(segment.times) > 1]
 
     def radian_s(self) -> float:
-        """How long its motion takes for a radian, s."""
+        """Return the time that its motion takes per radian, s."""
         distance = np.linalg.norm(self._oem.states[:, :3], axis=1)
         return float((distance / np.linalg.norm(self._oem.states[:, 3:], axis=1)).min())
 
@@ -147,7 +147,7 @@ class SpkPath:
         return [(first, last) for first, last in self._spans if last > first]
 
     def radian_s(self) -> float:
-        """How long its motion takes for a radian at its start, s."""
+        """Return the time that its motion takes per radian at its start, s."""
         state = self._states(np.array([self._spans[0][0]]))[0]
         return float(np.linalg.norm(state[:3]) / np.linalg.norm(state[3:]))
 
@@ -205,7 +205,7 @@ class TlePath:
         self.note = f"{path}: taken for right to 1 km at {utc_from_tdb_s(self._epoch_s, 0)}"
 
     def spans(self, stamps: FloatArray, margin_s: float) -> Sequence[Span]:
-        """Of the stamps, with the margin; without stamps a day about the epoch."""
+        """List the spans of the stamps with the margin; without stamps a day about the epoch."""
         known = stamps[np.isfinite(stamps)]
         if not len(known):
             known = self._epoch_s + np.array([-0.5, 0.5]) * DAY_S
@@ -218,7 +218,7 @@ class TlePath:
         return [(first, last)]
 
     def radian_s(self) -> float:
-        """How long its motion takes for a radian in the mean, s."""
+        """Return the mean time that its motion takes per radian, s."""
         return float(60.0 / self._craft.no_kozai)
 
     def fixed(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:

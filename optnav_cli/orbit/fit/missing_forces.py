@@ -48,7 +48,7 @@ class _Solved:
 
     @cached_property
     def probability(self) -> float:
-        """By which chance makes the pattern of the residuals."""
+        """Probability of such a pattern of the residuals by chance."""
         return pattern_probability(*self.residuals)
 
     @cached_property

@@ -60,7 +60,7 @@ class ArcMotion:
         motion: OrbitMotion | None = None,
         sizes: OrbitNoiseSizes | None = None,
     ) -> None:
-        """What moves a craft along an arc.
+        """Prepare the motion of a craft along an arc.
 
         motion  with values of force parameters; without it, as the settings state them
         sizes   of the noise; without them, those that ship
@@ -76,7 +76,7 @@ class ArcMotion:
         return ArcMotion(forces, self._noise, None, self.sizes)
 
     def with_added(self, values: Mapping[str, FloatArray]) -> "ArcMotion":
-        """The same motion with so much more of parameters of the forces."""
+        """Return the motion with increments of parameters of the forces."""
         if not values:
             return self
         before = self.forces.values()
@@ -103,11 +103,11 @@ class ArcMotion:
     def partials(
         self, state: FloatArray, tdb_s: float, times: FloatArray, names: Sequence[str]
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """As `path`, derivatives (n, 6, 6), and (n, 6, p) by force parameters of these names."""
+        """Return `path` and derivatives (n, 6, 6), and (n, 6, p) by named force parameters."""
         return self._motion.partials(state, tdb_s, times, names)
 
     def radian_s(self, position_m: FloatArray) -> float:
-        """How long the motion takes for a radian, s."""
+        """Return the time that the motion takes per radian, s."""
         return self._motion.radian_s(position_m)
 
     def densities(self, positions_m: FloatArray) -> FloatArray:

@@ -32,7 +32,7 @@ SQUARE = 380
 
 @dataclass(frozen=True, eq=False)
 class OrbitPicture:
-    """What is drawn: times in hours after the first row of orbit.csv.
+    """Data of the plots: times in hours after the first row of orbit.csv.
 
     fix_hours, residuals, fix_sigmas, used  of the fixes, (n,), (n, 3), (n, 3), (n,), m
     hours, errors, sigmas                   of the orbit against a truth; empty without one
@@ -54,7 +54,7 @@ class OrbitPicture:
 
     @property
     def path_hours(self) -> FloatArray:
-        """Of the rows of orbit.csv."""
+        """Times of the rows of orbit.csv, h."""
         times = self.orbit.rows.times
         hours: FloatArray = (times - times[0]) / 3600.0
         return hours
@@ -68,7 +68,7 @@ class OrbitPicture:
 
 
 def read_picture(folder: Path) -> OrbitPicture:
-    """What the files of a folder hold. Raises DataError for damaged ones."""
+    """Read the files of a folder. Raises DataError for damaged ones."""
     orbit = read_orbit(folder)
     start = float(orbit.rows.times[0])
     fixes, looks = [], None
@@ -256,7 +256,7 @@ def _error_plot(drawn: OrbitPicture, axis: int, chosen: BoolArray, width: int) -
 
 
 def _own_errors(drawn: OrbitPicture, axis: int) -> tuple[FloatArray, FloatArray]:
-    """Of the fixes used: the orbit's error and their residual, where both have the same time."""
+    """Match the orbit's error and the residual of each fix used, where both have the same time."""
     inside = ~drawn.ahead
     if not inside.any():
         return np.empty(0), np.empty(0)

@@ -37,7 +37,7 @@ class KnownPath(Protocol):
         """Spans of time to search, TDB s; stamps (n,) of the pictures, NaN where unknown."""
 
     def radian_s(self) -> float:
-        """How long the motion takes for a radian, s."""
+        """Return the time that the motion takes per radian, s."""
 
     def fixed(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Body-fixed states (n, 6), m and m/s, and covariances (n, 3, 3) of their places."""
@@ -58,7 +58,7 @@ class FittedPath:
         return [(first - margin_s, last + margin_s)]
 
     def radian_s(self) -> float:
-        """How long the path takes for a radian at the last fix, s."""
+        """Return the time that the path takes per radian at the last fix, s."""
         return self._path.radian_s()
 
     def fixed(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -117,11 +117,11 @@ class OrbitPath:
         return Prediction(rows, met_after if met_after is not None else met_before)
 
     def radian_s(self) -> float:
-        """How long the path takes for a radian at the last fix, s."""
+        """Return the time that the path takes per radian at the last fix, s."""
         return self._motion.radian_s(self.orbit.state[:3])
 
     def height_m(self, tdb_s: float, state: FloatArray) -> float:
-        """Of a state (6,) over the reference sphere."""
+        """Return the height of a state (6,) over the reference sphere."""
         return float(np.linalg.norm(state[:3])) - self.orbit.body.radius_m
 
     def _between(self, tdb_s: float) -> _At:
@@ -206,7 +206,7 @@ class OrbitPath:
 def _with_parameters(
     orbit: StoredOrbit, forces: Forces
 ) -> tuple[dict[str, FloatArray], tuple[str, ...], FloatArray]:
-    """What was found of the force parameters, their names, and the covariance with the state.
+    """Return the estimated force parameters, their names, and the covariance with the state.
 
     Those estimated come with their correlations, those considered with their prior, arcs of thrust
     with the errors that the settings state.

@@ -183,7 +183,7 @@ class OrbitProblem:
 
     @property
     def measured(self) -> str:
-        """What the orbit goes through, in words."""
+        """Name of the measurements that the orbit is fitted to."""
         return "fixes"
 
     @property
@@ -192,12 +192,12 @@ class OrbitProblem:
 
     @property
     def sizes(self) -> Mapping[str, int]:
-        """How many numbers a parameter has; 1 where not named."""
+        """Number of components of each parameter; 1 where not named."""
         return SIZES
 
     @property
     def width(self) -> int:
-        """Of the state with the parameters estimated, without what near fixes have in common."""
+        """Size of the state with the parameters estimated, without errors common to near fixes."""
         return 6 + sum(parameter.size for parameter in self.estimated)
 
     def prior_covariance(self, parameters: Sequence[FitParameter]) -> FloatArray:
@@ -218,7 +218,7 @@ class OrbitProblem:
         return stated
 
     def value(self, parameter: FitParameter, trajectory: Trajectory) -> FloatArray:
-        """Of a parameter: as estimated; 0 where it is only considered."""
+        """Return the estimate of a parameter; 0 where it is only considered."""
         if parameter.settings.mode == "consider":
             return np.zeros(parameter.size)
         return trajectory.parameters[parameter.span]
@@ -229,7 +229,7 @@ class OrbitProblem:
         return self.motion.with_added({p.name: self.value(p, at) for p in of_forces})
 
     def clock(self, number: int, trajectory: Trajectory) -> float:
-        """How much later a fix was taken than it says, s."""
+        """Return the delay of a fix after its time stamp, s."""
         fix = self.fixes[number]
         clocks = [p for p in self.estimated if p.name == "clock" and p.applies(fix)]
         return float(sum(float(self.value(p, trajectory)[0]) for p in clocks))
@@ -266,7 +266,7 @@ class OrbitProblem:
         return moved, unshared if fix.timing_m2 is None else unshared + fix.timing_m2
 
     def left_over(self, at: Trajectory, weights: FloatArray) -> float:
-        """Of chi-square: what the measurements of a linear arc say no more about."""
+        """Return the part of chi-square that no state of a linear arc explains."""
         return 0.0
 
     def standardised(
@@ -304,14 +304,14 @@ class OrbitProblem:
         return velocity[:, None]
 
     def _moved(self, p: FitParameter, derivative: FloatArray, at: Trajectory) -> FloatArray:
-        """What a parameter adds to the computed place; the clock has moved it already."""
+        """Return the effect of a parameter on the computed place; that of the clock is in it."""
         if p.name == "clock":
             return np.zeros(3)
         moved: FloatArray = derivative @ self.value(p, at)
         return moved
 
     def part(self, first: int, last: int) -> "OrbitProblem":
-        """The same between two of its nodes, with both, and with the priors that lie there."""
+        """Cut the problem between two of its nodes, both and the priors there included."""
         if (first, last) == (0, len(self.times) - 1):
             return self
         inside = [k for k, node in enumerate(self.node_of) if first <= node <= last]

@@ -92,7 +92,7 @@ class ParameterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
     @property
     def label(self) -> str:
-        """What it is called: its name, and whose it is."""
+        """Label of a parameter: its name, and whose it is."""
         whose = " ".join(filter(None, (self.camera, self.run)))
         return f"{self.name} of {whose}" if whose else self.name
 

@@ -60,7 +60,7 @@ class SharedErrors:
 
     @property
     def width(self) -> int:
-        """How many numbers there are."""
+        """Number of components."""
         return 3 * (max(self.group, default=-1) + 1)
 
     def fading(self, times: FloatArray) -> FloatArray:
@@ -89,7 +89,7 @@ def shared_errors(
     radius_m: float,
     sizes: SharedErrorSizes | None = None,
 ) -> SharedErrors:
-    """Of fixes in the order of time: groups of one method, some of which see the same ground.
+    """Group fixes in the order of time by method, where some see the same ground.
 
     places       (n, 3) body-fixed, m;  covariances (n, 3, 3), m^2;  times (n,) TDB s
     methods      what made each, by any camera; empty where a fix errs for itself

@@ -36,7 +36,7 @@ class FitVerdict:
     freedom: int
 
     def remarks(self, advice: str, sized: str) -> list[str]:
-        """What is to be said of a fit that stands.
+        """Write the remarks about a fit that stands.
 
         advice  what may be wrong where it does not;  sized  whose size the scatter tells of
         Raises NoSolutionError where the residuals refute the fit.

@@ -42,7 +42,7 @@ DROPPED = 25.0  # times the chi-square of a fit there is: a first orbit is not f
 
 @dataclass(frozen=True, eq=False)
 class SightResidual:
-    """Of all sights after the fit: rad (n,), chi-squares (n,) by their covariances, used (n,)."""
+    """Residuals of all sights: rad (n,), chi-squares (n,) by their covariances, used (n,)."""
 
     residual_rad: FloatArray
     chi_square: FloatArray
@@ -202,12 +202,12 @@ def settled(problem: ZenithProblem, at: Trajectory, gate_probability: float) -> 
 
 
 def with_remarks(fit: ZenithFit, remarks: Sequence[str]) -> ZenithFit:
-    """The same with further remarks before its own."""
+    """Return the fit with further remarks before its own."""
     return replace(fit, remarks=[*remarks, *fit.remarks])
 
 
 def denser(fit: ZenithFit, step_s: float) -> ZenithFit:
-    """The same orbit with nodes no farther apart than a step."""
+    """Return the orbit with nodes no farther apart than a step."""
     before, at = fit.problem, fit.trajectory
     problem = zenith_problem(
         before.motion, fit.sights, before.priors, before.parameters, at.states[0], step_s

@@ -46,7 +46,7 @@ class ZenithProblem(OrbitProblem):
 
     @property
     def measured(self) -> str:
-        """What the orbit goes through, in words."""
+        """Name of the measurements that the orbit is fitted to."""
         return "zenith distances"
 
     @property
@@ -55,7 +55,7 @@ class ZenithProblem(OrbitProblem):
         return {**SIZES, "star_catalog": 2 * len(self.sights.names)}
 
     def part(self, first: int, last: int) -> "ZenithProblem":
-        """The same between two of its nodes."""
+        """Cut the problem between two of its nodes."""
         if (first, last) == (0, len(self.times) - 1):
             return self
         ends = float(self.times[first]), float(self.times[last])
@@ -113,7 +113,7 @@ class ZenithProblem(OrbitProblem):
     def linearise(
         self, at: Trajectory, weights: FloatArray, sigmas: FloatArray | None = None
     ) -> tuple[LinearArc, FloatArray]:
-        """As that of fixes; weights (sights,)."""
+        """Linearise as the problem of fixes does; weights (sights,)."""
         arc, paths = super().linearise(at, np.empty(0), sigmas)
         measured = [
             NodeMeasurement(node, right, design, np.eye(len(right)))
@@ -126,19 +126,19 @@ class ZenithProblem(OrbitProblem):
         return replace(arc, measurements=[*arc.measurements, *compressed]), paths
 
     def left_over(self, at: Trajectory, weights: FloatArray) -> float:
-        """What no change of the nodes' states takes away."""
+        """Return the residuals that no change of the nodes' states takes away."""
         return self.remainder(self.rows(at), weights)
 
     def standardised(
         self, at: Trajectory, found: SmoothedArc, used: BoolArray
     ) -> tuple[FloatArray, IntArray, FloatArray]:
-        """As that of fixes; the sights of a star are a series."""
+        """Standardise as the problem of fixes does; the sights of a star are a series."""
         sights = self.sights
         values = self.rows(at).residuals / sights.sigmas_rad
         return values[used], sights.star_of[used], sights.tdb_s[used]
 
     def remainder(self, rows: SightRows, weights: FloatArray) -> float:
-        """Of chi-square: what no change of the nodes' states takes away."""
+        """Return the part of chi-square that no change of the nodes' states takes away."""
         paths = np.zeros((len(self.times), self.width, rows.considered.shape[1]))
         total = 0.0
         for node, design, right in self._whitened(rows, weights, paths):
@@ -172,7 +172,7 @@ def _put(p: FitParameter, columns: FloatArray, design: FloatArray, considered: F
 
 
 def _compressed(one: NodeMeasurement) -> tuple[NodeMeasurement, float]:
-    """The same in as many rows as unknowns, and the squares of the residual that are left."""
+    """Compress rows to as many as unknowns; also return the squares of the residual left."""
     q, r = np.linalg.qr(one.design)
     right = q.T @ one.residual
     remainder = float((one.residual[:, 0] ** 2).sum() - (right[:, 0] ** 2).sum())

@@ -168,32 +168,32 @@ def _path_cells(result: LandingResult) -> Iterator[dict[str, object]]:
     along = np.array([*-begin[:2], 0.0]) / float(np.linalg.norm(begin[:2]))
     plane = np.stack([along, [0.0, 0.0, 1.0], np.cross([0.0, 0.0, 1.0], along)]) @ site.axes
 
-    def row(kind: str, seconds: float | None, place: FloatArray) -> dict[str, object]:
-        x, up, side = (plane @ (place - site.point) / 1e3).tolist()
+    def row(kind: str, seconds: float | None, position: FloatArray) -> dict[str, object]:
+        x, up, side = (plane @ (position - site.point) / 1e3).tolist()
         return {"kind": kind, "seconds": seconds, "along_km": x, "up_km": up, "side_km": side}
 
     duration = settings.landing.transfer_s
     seconds = np.linspace(0.0, duration, len(task.path))
-    for after, place in zip(seconds, task.path, strict=True):
-        yield row("transfer", float(after), place)
+    for after, position in zip(seconds, task.path, strict=True):
+        yield row("transfer", float(after), position)
     for _, down in result.groups[:1]:
         for step, state in enumerate(down.path):
             yield row("descent", duration + step, site.point + state[:3] @ site.axes)
     steps = np.arange(-PROFILE_KM, PROFILE_KM, PROFILE_STEP_KM) * 1e3
     lines = site.point + steps[:, None] * plane[0] + 2e4 * site.up
     hits = task.model.cast(lines, np.tile(-site.up, (len(lines), 1)))
-    for place, distance in zip(hits.points, hits.range_m, strict=True):
+    for position, distance in zip(hits.points, hits.range_m, strict=True):
         if np.isfinite(distance):
-            yield row("ground", None, place)
+            yield row("ground", None, position)
     chosen = np.linspace(0, len(task.path) - 1, DRAWN_BEAMS).astype(int)
-    for place in task.path[chosen]:
+    for position in task.path[chosen]:
         rays = beams_about(
-            -place / np.linalg.norm(place), float(np.radians(settings.beams.off_deg))
+            -position / np.linalg.norm(position), float(np.radians(settings.beams.off_deg))
         )
-        beam_hits = task.model.cast(np.tile(place, (len(rays), 1)), rays)
+        beam_hits = task.model.cast(np.tile(position, (len(rays), 1)), rays)
         for point, distance in zip(beam_hits.points, beam_hits.range_m, strict=True):
             if np.isfinite(distance):
-                yield row("beam", None, place)
+                yield row("beam", None, position)
                 yield row("beam", None, point)
 
 

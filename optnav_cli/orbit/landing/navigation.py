@@ -43,7 +43,7 @@ NEAR_M = 4000.0  # from a target; twice as far off the model is as wrong as anyw
 
 @dataclass(frozen=True)
 class SurfaceError:
-    """How wrong the surface's model is: 1 sigma of its heights and the length that it is alike.
+    """Error of the surface's model: 1 sigma of its heights and their correlation length.
 
     near_m, site  1 sigma within NEAR_M of a place (3,), body frame, which pictures have shown
     """
@@ -116,7 +116,7 @@ class RangeFix:
 
 @dataclass(frozen=True, eq=False)
 class GroundEstimate:
-    """How much higher than its model the ground is at places, by the ranges of a flight.
+    """Height of the ground over its model at places, estimated from the ranges of a flight.
 
     mean (m,), covariance (m, m), m and m^2;  with_state  (6, m) covariance with the fix's state
     """
@@ -126,7 +126,7 @@ class GroundEstimate:
     with_state: FloatArray
 
     def moved(self, transition: FloatArray) -> "GroundEstimate":
-        """The same with the state at another time, to which a transition (6, 6) leads."""
+        """Return it with the state at another time, to which a transition (6, 6) leads."""
         return GroundEstimate(self.mean, self.covariance, transition @ self.with_state)
 
 
@@ -194,7 +194,7 @@ class RangeNavigator:
         )
 
     def ground(self, ranges: BeamRanges, fix: RangeFix, places: FloatArray) -> GroundEstimate:
-        """What the ranges of a fix say of the ground at places (m, 3) near its model's surface."""
+        """Estimate the ground at places (m, 3) near the surface from the ranges of a fix."""
         before = self._error.covariance(places, places)
         parts = self._linearised(ranges, fix.state)
         if parts is None:
@@ -263,7 +263,7 @@ class RangeNavigator:
         return RangeFix(state, covariance, weighted, chi, count, missed, steps, number, settled)
 
     def _linearised(self, ranges: BeamRanges, state: FloatArray) -> _Linearised | None:
-        """Of the ranges over ground that is not flat to the beam; None where too few are."""
+        """Linearise ranges over ground that is not flat to the beam; None for too few."""
         flown = self._motion.propagate(state, ranges.tdb_s, STEP_S, transition=True)
         states, transitions = split(flown)
         turns = body_from_inertial(self._motion.moon, ranges.tdb_s)

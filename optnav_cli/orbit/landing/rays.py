@@ -53,7 +53,7 @@ class DigitalSurface:
         self._above_all = self.radii * np.linalg.norm(mesh.corners / self.radii, axis=-1).max()
 
     def cast(self, origins: FloatArray, rays: FloatArray) -> GroundHits:
-        """By exact casting against the triangles."""
+        """Cast rays exactly against the triangles."""
         faces, distance = self.mesh.find_first_hits(origins, rays)
         points = origins + np.where(np.isfinite(distance), distance, 0.0)[:, None] * rays
         none, met = np.zeros(len(rays), dtype=np.int64), np.maximum(faces, 0).astype(np.int64)
@@ -61,7 +61,7 @@ class DigitalSurface:
         return GroundHits(distance, points, self._normals[met], unsettled, none, met)
 
     def settle(self, origins: FloatArray, rays: FloatArray) -> GroundHits:
-        """By the iteration alone; rays that do not settle have an infinite range."""
+        """Iterate the ranges alone; rays that do not settle have an infinite range."""
         count = len(rays)
         distance, leaves = _through(origins, rays, self._above_all)
         settled, steps = np.zeros(count, bool), np.zeros(count, dtype=np.int64)
@@ -105,7 +105,7 @@ class DigitalSurface:
         return GroundHits(distance, points, self._normals[met], settled, steps, met)
 
     def ranges(self, origins: FloatArray, rays: FloatArray) -> GroundHits:
-        """By the iteration, and by casting where it does not settle or the ray is flat."""
+        """Iterate the ranges, and cast where that does not settle or the ray is flat."""
         hits = self.settle(origins, rays)
         # a flat ray may settle behind a ridge that it meets first
         up = compute_normals(find_foot(hits.points, self.radii), self.radii)
@@ -118,7 +118,7 @@ class DigitalSurface:
         return hits
 
     def height(self, places: FloatArray) -> FloatArray:
-        """Of places (n, 3) over the ground along the ellipsoid's normal, m; NaN deep inside."""
+        """Return heights of places (n, 3) along the ellipsoid's normal, m; NaN deep inside."""
         return self._over(places, places)[0]
 
     def _over(

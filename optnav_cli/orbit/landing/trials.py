@@ -41,7 +41,7 @@ SPACINGS, SHARES = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25), (0.071, 0.228, 0.320, 0.181,
 
 @dataclass(frozen=True, eq=False)
 class LandingTask:
-    """What all trials of a landing have in common.
+    """Inputs that all trials of a landing have in common.
 
     nodes    (m, 3) of the ground, body frame: vertices of the model under the descent
     corners  (faces, 3) numbers of the nodes that are a face's corners, or -1
@@ -137,7 +137,7 @@ def error_octaves(seed: int, length_m: float, radius_m: float) -> fractal.Octave
 
 
 def surface_error(task: LandingTask) -> SurfaceError:
-    """How wrong the model is, as the navigator takes it."""
+    """Return the error of the model that the navigator assumes."""
     surface = task.settings.surface
     x, y, z = task.site.point.tolist()
     near = min(surface.near_error_m, surface.error_m)

@@ -33,7 +33,7 @@ _RATE_S = 1.0  # half the time over which the turn of the frame is differenced
 
 
 class FlightTable(NamedTuple):
-    """What depends on time alone, at each stage of each step (n, STAGES, ...).
+    """Quantities of time alone, at each stage of each step (n, STAGES, ...).
 
     steps_s      (n,) lengths
     planet_m     (..., 3) the planet's centre from the moon's
@@ -243,7 +243,7 @@ class MoonMotion:
         return np.stack([x, np.cross(z, x), z], axis=1)
 
     def turning_rates(self, tdb_s: float) -> tuple[float, float]:
-        """How fast the turning frame turns, rad/s, and the planet recedes, m/s."""
+        """Return rates of the turning frame, rad/s, and of the planet's distance, m/s."""
         times = np.array([tdb_s - _RATE_S, tdb_s + _RATE_S])
         before, after = self.turning_from_inertial(times)
         gone = np.linalg.norm(self.planet_m(times), axis=1)

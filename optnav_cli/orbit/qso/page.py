@@ -96,7 +96,7 @@ def ring_plot(path: FloatArray, radius_km: float, body: Body) -> Plot:
 def _rings(
     rows: Sequence[CsvRow], paths: dict[tuple[str, str], FloatArray], body: Body
 ) -> Iterator[Markup]:
-    """Of the first orbits: with the theory's velocity (usual drift) and with the least drift."""
+    """Draw the first orbits: with the theory's velocity (usual drift) and with the least drift."""
     keys = {"k2": "start"}
     for row in rows[:MAX_DRAWN]:
         number, radius = row["orbit"], row.number("radius_km") or 1.0
