@@ -44,9 +44,9 @@ def compare_heights(case: Path, first: str, second: str) -> Outcome:
             sources.append(DemSource.open_alone(case / name, load_body("moon")))
     except DataError as error:
         return Outcome("refused", str(error)[:160])
-    rows, cols = sources[1].place.shape
+    rows, cols = sources[1].georeference.shape
     col, row = np.meshgrid(np.linspace(2, cols - 3, 9), np.linspace(2, rows - 3, 9))
-    lat, lon = sources[1].place.latlon_from_pixel(col, row)
+    lat, lon = sources[1].georeference.latlon_from_pixel(col, row)
     heights = [source.heights_at(lat, lon) for source in sources]
     differences = np.abs(heights[0] - heights[1])
     same = bool(np.nanmax(differences) <= SAME_HEIGHT_M) and np.isfinite(differences).mean() > 0.9

@@ -145,7 +145,7 @@ def test_what_was_read_before_does_not_change_heights(tmp_path, dems, moon):
 
     def grids(order, limit):
         mosaic = mosaic_of(moon, tmp_path, path)
-        mosaic._cache.limit_bytes = limit
+        mosaic._cache._bound = limit
         found = {}
         for place in order:
             projection = Stereographic(*np.radians(place), moon.radius_m)

@@ -185,7 +185,7 @@ def test_points_on_a_line_are_refused() -> None:
 
 
 def test_priors_are_those_of_the_settings() -> None:
-    numbers = CalibrateSettings().numbers(list(KINDS), ["unk"])
+    numbers = CalibrateSettings().list_numbers(list(KINDS), ["unk"])
     sigmas = {(n.kind, n.axis): n.prior_sigma for n in numbers}
     assert sigmas[Common.FOCAL, ""] == 0.05
     assert sigmas[Common.MOUNTING, "z"] == pytest.approx(3600.0 * ARCSEC)
