@@ -14,8 +14,8 @@ N ?= 500
 SEED ?= 1
 KINDS ?=
 CASE ?=
-# One process more than cores, a test file at a time, in the order of the folders, so that what the tests of
-# a file share is made once and the longest files do not come last.
+# A test file at a time, in the order of the folders, so that what the tests of a file share is made
+# once and the longest files do not come last. tests/conftest.py says how many processes "auto" means.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 # Tests start hundreds of processes, and each would compile the modules where no byte code is kept.
 BYTE_CODE := -m compileall -q catalog optnav_cli

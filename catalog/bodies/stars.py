@@ -14,10 +14,11 @@ import csv
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.bodies.body import JULIAN_YEAR_S
@@ -85,6 +86,33 @@ def make_stars(
     motions = MAS * (motions_mas_yr[:, :1] * east + motions_mas_yr[:, 1:] * north)
     numbers = np.zeros(len(ra), np.int64) if hip is None else hip
     return BrightStars(directions, motions, magnitudes, numbers, names, epoch_years)
+
+
+@dataclass(frozen=True, eq=False)
+class StarPairs:
+    """Pairs of stars by their angle: angles (m,) rising, first and second (m,)."""
+
+    angles: FloatArray
+    first: IntArray
+    second: IntArray
+
+    def select_near(self, angle: float, tolerance: float) -> tuple[IntArray, IntArray]:
+        """Select both ends, in both orders, of pairs of an angle."""
+        low, high = np.searchsorted(self.angles, (angle - tolerance, angle + tolerance))
+        a, b = self.first[low:high], self.second[low:high]
+        return np.concatenate([a, b]), np.concatenate([b, a])
+
+
+@lru_cache(maxsize=4)
+def list_star_pairs(catalog: BrightStars, count: int, widest: float) -> StarPairs:
+    """List pairs of the brightest stars: a century of proper motion changes no angle by a pixel."""
+    directions = catalog.propagate(None)[:count]
+    reach = 2.0 * np.sin(widest / 2.0)
+    ends = cKDTree(directions).query_pairs(reach, output_type="ndarray")
+    chords = np.linalg.norm(directions[ends[:, 0]] - directions[ends[:, 1]], axis=1)
+    angles = 2.0 * np.arcsin(chords / 2.0)
+    order = np.argsort(angles, kind="stable")
+    return StarPairs(angles[order], ends[order, 0], ends[order, 1])
 
 
 @cache

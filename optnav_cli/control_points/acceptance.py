@@ -35,6 +35,8 @@ from optnav_cli.fix import PositionPrior
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 FILE = "configs/models/acceptance.toml"
+# Room to every side of a proof, nodes: three times as many places as a peak itself takes.
+PROOF_NODES = 12
 
 
 class _Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -266,10 +268,6 @@ def check_light(lights: Sequence[PointLight]) -> Reason:
         f"the ground is lit from about {abs(turn_deg):.0f} deg {way} (seen from above) of the "
         "stated Sun: the direction to the Sun, the time or the attitude is wrong",
     )
-
-
-# Room to every side, nodes: three times as many places as a peak itself takes.
-PROOF_NODES = 12
 
 
 def drop_disproven(

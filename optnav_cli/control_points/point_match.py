@@ -196,8 +196,8 @@ def match_point(
         shift, jacobian = _measure_displacement(pixels, at, plan.template_nodes)
         part = None
         if blur_nodes:
-            shown = np.isfinite(crop(sampled, border))
-            middle = crop(surface, border)[shown].mean(axis=0)
+            in_frame = np.isfinite(crop(sampled, border))
+            middle = crop(surface, border)[in_frame].mean(axis=0)
             seen = camera.project_from_body(middle, pose.position_m, camera_from_body) + shift
             corners = crop(pixels, border)[[0, 0, -1, -1], [0, -1, -1, 0]] + shift
             part = SeenPart(middle, seen, corners, samples)
@@ -239,7 +239,10 @@ def _compute_borders(plan: SearchPlan) -> tuple[int, int]:
 
 
 def thin_pixels(pixels: FloatArray, blur_nodes: float, even: bool) -> FloatArray:
-    """Compute where the nodes kept behind a blur lie, from pixels (n, n, 2) of all nodes."""
+    """Compute where the nodes kept behind a blur lie, from pixels (n, n, 2) of all nodes.
+
+    The pixels are blurred, too: a smooth picture blurred over them has its brightness there.
+    """
     if not blur_nodes:
         return pixels
     axes = (downsample_blurred(pixels[..., k].astype(np.float32), blur_nodes, even) for k in (0, 1))

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from catalog.arrays import BoolArray, ByteArray, FloatArray
 
-RUN_PX = (
-    33  # of one value along a row or column: noise makes no such run; odd, so that it has a middle
-)
+# Of one value along a row or column: noise makes no such run; odd, so that it has a middle.
+RUN_PX = 33
 # Dark is what lies so near to the margin's value, of the way to bright ground.
 DARK_SHARE = 0.25
 # The sky that is no margin: so much of the picture; of it so few pixels have the margin's value,

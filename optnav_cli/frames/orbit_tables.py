@@ -32,7 +32,6 @@ def _format_covariance_name(i: int, j: int) -> str:
 
 
 STATE_COVARIANCE = tuple(_format_covariance_name(i, j) for i, j in LOWER)
-SIGMAS_OF_STATE = ("sigma_r_m", "sigma_n_m", "sigma_b_m")
 
 
 def _make_state_columns(empty: bool = True) -> list[CsvColumn]:

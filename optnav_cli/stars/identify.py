@@ -7,10 +7,9 @@ which the catalog's stars are counted among the spots. It stands when chance, ov
 were tried, would have given as many so rarely.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
-from itertools import combinations, islice
+from functools import cached_property
+from itertools import islice
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,17 +17,18 @@ from scipy.spatial.transform import Rotation
 from scipy.special import bdtrc
 
 from catalog.arrays import FloatArray, IntArray
-from catalog.bodies.stars import BrightStars, load_bright_stars
+from catalog.bodies.stars import BrightStars, list_star_pairs, load_bright_stars
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import cross_matrix
+from catalog.geometry.vectors import angle_between
 from optnav_cli.camera.camera import Camera
 from optnav_cli.reasons import ReasonCode, describe_length
-from optnav_cli.stars.spots import StarSpots
+from optnav_cli.stars.spots import StarSpots, list_compact_triples, list_triples
 
 MAX_PAIR_DEG = 25.0
 WANTED_IN_VIEW = 30.0  # stars of the catalog in a frame, as far as it goes so faint
 MIN_STARS = 4
-BRIGHT_SPOTS, MAX_BRIGHT_SPOTS, MAX_TRIPLES, MAX_TRIED = 12, 30, 220, 1500
+MAX_TRIPLES, MAX_TRIED = 220, 1500
 SCALE_ERROR = 0.012  # of the focal length, unless the camera file states more
 MAX_SCALE_OFF = 0.02  # beyond which a lens counts as another one than the camera file's
 # Of a failed picture few triples are tried with other lenses, to say what is wrong.
@@ -42,7 +42,7 @@ SKY_SQUARE_DEG = 41_253.0
 # A catalog so large is indexed; its triples of equal angles are many, and sifted at once.
 LARGE_CATALOG, MANY_TRIPLES, MANY_TRIED, WIDE_GATE = 20_000, 80, 50_000, 1.6
 COMPACT = 0.4  # of a field's diagonal: two sides of a triple are looked up, so long at most
-LARGE_SPOTS, MIN_LARGE_SIDE_PX = 16, 80.0  # shorter sides have the angles of too many triples
+MIN_LARGE_SIDE_PX = 80.0  # shorter sides have the angles of too many triples
 MAX_PAIRS = 20_000_000  # of stars, half a gigabyte: 250,000 stars in fields of 2 deg
 MAX_STEPS = 6
 GATE_SIGMAS = 4.0  # of a match's distance from its star
@@ -78,33 +78,6 @@ class StarFix:
         """Root mean square of the residuals of the stars used, per coordinate."""
         some = self.residuals_px[self.used > 0.0]
         return float(np.sqrt((some**2).mean()))
-
-
-@dataclass(frozen=True, eq=False)
-class _Pairs:
-    """Pairs of stars by their angle: angles (m,) rising, first and second (m,)."""
-
-    angles: FloatArray
-    first: IntArray
-    second: IntArray
-
-    def select_near(self, angle: float, tolerance: float) -> tuple[IntArray, IntArray]:
-        """Select both ends, in both orders, of pairs of an angle."""
-        low, high = np.searchsorted(self.angles, (angle - tolerance, angle + tolerance))
-        a, b = self.first[low:high], self.second[low:high]
-        return np.concatenate([a, b]), np.concatenate([b, a])
-
-
-@lru_cache(maxsize=4)
-def _list_pairs(catalog: BrightStars, count: int, widest: float) -> _Pairs:
-    """List pairs of the brightest stars: a century of proper motion changes no angle by a pixel."""
-    directions = catalog.propagate(None)[:count]
-    reach = 2.0 * np.sin(widest / 2.0)
-    ends = cKDTree(directions).query_pairs(reach, output_type="ndarray")
-    chords = np.linalg.norm(directions[ends[:, 0]] - directions[ends[:, 1]], axis=1)
-    angles = 2.0 * np.arcsin(chords / 2.0)
-    order = np.argsort(angles, kind="stable")
-    return _Pairs(angles[order], ends[order, 0], ends[order, 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +119,7 @@ class StarIdentifier:
                 raise _explain_wrong_lens(factor * fit.focal_scale)
         raise NoSolutionError(
             f"{len(spots)} spots are no stars of the catalog, or too few of them"
-            f"{_describe_rejects(spots)}",
+            f"{spots.describe_rejects()}",
             ReasonCode.NO_STARS,
         )
 
@@ -161,11 +134,11 @@ class StarIdentifier:
         rays = self.camera.unproject(spots.pixels)
         seen = np.flatnonzero(np.isfinite(rays).all(axis=1))
         tried, last = 0, MAX_TRIED
-        triples = _list_triples(seen, rays, self._compute_widest_angle())
+        triples = list_triples(seen, rays, self._compute_widest_angle())
         if self._is_large:
             most, last = min(most, MANY_TRIPLES), MANY_TRIED
             shortest = MIN_LARGE_SIDE_PX / self.camera.focal_length_px
-            triples = _list_compact_triples(seen, rays, shortest, self._compute_pair_reach())
+            triples = list_compact_triples(seen, rays, shortest, self._compute_pair_reach())
         for three in islice(triples, most):
             candidates = self._find_candidates(rays[list(three)])
             for number in self._select_promising(spots, rays, three, candidates):
@@ -247,10 +220,10 @@ class StarIdentifier:
 
     def _find_candidates(self, rays: FloatArray) -> list[IntArray]:
         """Find triples of stars (3,) with the angles and the sense of three rays (3, 3)."""
-        pairs = _list_pairs(
+        pairs = list_star_pairs(
             self.catalog, self._count_in_view(), round(self._compute_pair_reach(), 6)
         )
-        ab, ac, bc = (_compute_angle(rays[i], rays[j]) for i, j in ((0, 1), (0, 2), (1, 2)))
+        ab, ac, bc = angle_between(rays[[0, 0, 1]], rays[[1, 2, 2]]).tolist()
         if (
             max(ab, ac, bc) > self._compute_widest_angle()
             or min(ab, ac, bc) < 10.0 / self.camera.focal_length_px
@@ -440,47 +413,6 @@ def solve_wahba(ours: FloatArray, theirs: FloatArray) -> Rotation:
     return Rotation.from_matrix(u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt)
 
 
-def _list_triples(seen: IntArray, rays: FloatArray, widest: float) -> Iterator[tuple[int, ...]]:
-    """List triples of the brightest spots within an angle, in order of the sum of their ranks."""
-    count = min(len(seen), MAX_BRIGHT_SPOTS)
-    near = rays[seen[:count]] @ rays[seen[:count]].T > np.cos(widest)
-    if near[:BRIGHT_SPOTS, :BRIGHT_SPOTS].mean() > 0.5:  # else a wide field, whose spots lie apart
-        count = min(count, BRIGHT_SPOTS)
-    some = [
-        (i, j, k)
-        for i, j, k in combinations(range(count), 3)
-        if near[i, j] and near[i, k] and near[j, k]
-    ]
-    some.sort(key=lambda three: (sum(three), three))
-    for three in some:
-        yield tuple(int(seen[rank]) for rank in three)
-
-
-def _list_compact_triples(
-    seen: IntArray, rays: FloatArray, shortest: float, reach: float
-) -> Iterator[tuple[int, ...]]:
-    """List triples of bright spots, small ones first: pairs of an angle grow with its square.
-
-    The first of each triple is the corner of both shorter sides, which are looked up.
-    """
-    bright = rays[seen[:LARGE_SPOTS]]
-    apart = np.linalg.norm(bright[:, None] - bright[None], axis=2)
-    some = []
-    for three in combinations(range(len(bright)), 3):
-        corners = [(apart[a, b], apart[a, c], a, b, c) for a, b, c in (
-            three, (three[1], three[0], three[2]), (three[2], three[0], three[1])
-        )]  # fmt: skip
-        shorter_a, shorter_b, a, b, c = min(corners, key=lambda corner: corner[0] + corner[1])
-        if min(shorter_a, shorter_b, apart[b, c]) > shortest and max(shorter_a, shorter_b) < reach:
-            some.append((shorter_a * shorter_b * (3 + sum(three)), a, b, c))
-    for _, a, b, c in sorted(some):
-        yield int(seen[a]), int(seen[b]), int(seen[c])
-
-
-def _compute_angle(a: FloatArray, b: FloatArray) -> float:
-    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
-
-
 def _compute_angles(a: FloatArray, b: FloatArray) -> FloatArray:
     angles: FloatArray = 2.0 * np.arcsin(np.minimum(np.linalg.norm(a - b, axis=1) / 2.0, 1.0))
     return angles
@@ -493,20 +425,6 @@ def _explain_wrong_lens(scale: float) -> NoSolutionError:
 
 def _explain_too_few(spots: StarSpots) -> str:
     if len(spots) >= MIN_STARS:
-        return f"most spots are no points, {len(spots)} are{_describe_rejects(spots)}"
+        return f"most spots are no points, {len(spots)} are{spots.describe_rejects()}"
     seen = "1 spot is" if len(spots) == 1 else f"{len(spots)} spots are"
-    return f"{seen} fewer than the {MIN_STARS} stars wanted{_describe_rejects(spots)}"
-
-
-def _describe_rejects(spots: StarSpots) -> str:
-    """Describe what else was seen."""
-    parts = []
-    if spots.n_trails:
-        are = "1 spot is" if spots.n_trails == 1 else f"{spots.n_trails} spots are"
-        parts.append(f"{are} drawn out: trailed stars")
-    if spots.n_hot:
-        hot = "1 is a single hot pixel" if spots.n_hot == 1 else f"{spots.n_hot} are hot pixels"
-        parts.append(hot)
-    if spots.body > 0.02:
-        parts.append(f"a lit body and its glare take {100.0 * spots.body:.0f} % of the picture")
-    return f"; {'; '.join(parts)}" if parts else ""
+    return f"{seen} fewer than the {MIN_STARS} stars wanted{spots.describe_rejects()}"

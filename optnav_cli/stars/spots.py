@@ -6,14 +6,16 @@ middle of a pixel and to whatever else lies about. What is large is a body; spot
 its glare are left out.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.arrays import BoolArray, Float32Array, FloatArray
+from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
 BLOCK_PX = 32  # of the background
 SMOOTH_PX, THRESHOLD_SIGMAS = 1.0, 5.0
@@ -22,11 +24,12 @@ MIN_BODY_PX = 25  # across: larger than the picture of any star
 BODY_MARGIN_PX = 12
 MIN_LIT_SHARE = 0.05  # of a disc: a crescent is wider up to a phase of 150 deg
 TRAIL_RATIO, MIN_TRAIL_PX = 2.2, 5.0
-MIN_NEIGHBOUR_SHARE = (
-    0.3  # of the middle pixel's light, in the eight about it; a hot pixel has none
-)
+# Of the middle pixel's light, in the eight about it; a hot pixel has none.
+MIN_NEIGHBOUR_SHARE = 0.3
 WINDOW_SIGMA_PX, WINDOW_PX, STEPS = 1.2, 4, 12
 MAX_SPOTS = 60
+BRIGHT_SPOTS, MAX_BRIGHT_SPOTS = 12, 30  # that triples are made of, in narrow and wide fields
+LARGE_SPOTS = 16  # the same for a catalog so large that it is indexed
 BLUR_SIGMA_PX = 1.1  # of a star's picture, for the noise of a centroid
 
 
@@ -49,6 +52,19 @@ class StarSpots:
 
     def __len__(self) -> int:
         return len(self.pixels)
+
+    def describe_rejects(self) -> str:
+        """Describe trails, hot pixels and lit bodies, as the end of a sentence."""
+        parts = []
+        if self.n_trails:
+            are = "1 spot is" if self.n_trails == 1 else f"{self.n_trails} spots are"
+            parts.append(f"{are} drawn out: trailed stars")
+        if self.n_hot:
+            hot = "1 is a single hot pixel" if self.n_hot == 1 else f"{self.n_hot} are hot pixels"
+            parts.append(hot)
+        if self.body > 0.02:
+            parts.append(f"a lit body and its glare take {100.0 * self.body:.0f} % of the picture")
+        return f"; {'; '.join(parts)}" if parts else ""
 
 
 def find_spots(picture: Float32Array, saturation: float | None = None) -> StarSpots:
@@ -211,3 +227,40 @@ def _locate_centroid(over: Float32Array, x: float, y: float) -> tuple[float, flo
         if max(abs(step_x), abs(step_y)) < 1e-3:
             break
     return c0 + dx, r0 + dy, 2.0 * light
+
+
+def list_triples(seen: IntArray, rays: FloatArray, widest: float) -> Iterator[tuple[int, ...]]:
+    """List triples of the brightest spots within an angle, in order of the sum of their ranks."""
+    count = min(len(seen), MAX_BRIGHT_SPOTS)
+    near = rays[seen[:count]] @ rays[seen[:count]].T > np.cos(widest)
+    if near[:BRIGHT_SPOTS, :BRIGHT_SPOTS].mean() > 0.5:  # else a wide field, whose spots lie apart
+        count = min(count, BRIGHT_SPOTS)
+    some = [
+        (i, j, k)
+        for i, j, k in combinations(range(count), 3)
+        if near[i, j] and near[i, k] and near[j, k]
+    ]
+    some.sort(key=lambda three: (sum(three), three))
+    for three in some:
+        yield tuple(int(seen[rank]) for rank in three)
+
+
+def list_compact_triples(
+    seen: IntArray, rays: FloatArray, shortest: float, reach: float
+) -> Iterator[tuple[int, ...]]:
+    """List triples of bright spots, small ones first: pairs of an angle grow with its square.
+
+    The first of each triple is the corner of both shorter sides, which are looked up.
+    """
+    bright = rays[seen[:LARGE_SPOTS]]
+    apart = np.linalg.norm(bright[:, None] - bright[None], axis=2)
+    some = []
+    for three in combinations(range(len(bright)), 3):
+        corners = [(apart[a, b], apart[a, c], a, b, c) for a, b, c in (
+            three, (three[1], three[0], three[2]), (three[2], three[0], three[1])
+        )]  # fmt: skip
+        shorter_a, shorter_b, a, b, c = min(corners, key=lambda corner: corner[0] + corner[1])
+        if min(shorter_a, shorter_b, apart[b, c]) > shortest and max(shorter_a, shorter_b) < reach:
+            some.append((shorter_a * shorter_b * (3 + sum(three)), a, b, c))
+    for _, a, b, c in sorted(some):
+        yield int(seen[a]), int(seen[b]), int(seen[c])

@@ -143,9 +143,8 @@ def bench(name: str) -> str:
     lines = [f"| {' | '.join(rows[what])} |" for what in BENCH_ROWS[name]]
     head = f"| {' | '.join(column.title for column in table.columns[:3])} |"
     run = f"From `make {name.replace('_', '-')}` at commit {report.commit}, {report.date}."
-    return "\n".join([head, "|---|---|---|", *lines, "", *report.notes[:1], "", run]).replace(
-        "\n\n\n", "\n\n"
-    )
+    rendered = "\n".join([head, "|---|---|---|", *lines])
+    return "\n\n".join([rendered, *report.notes[:1], run])
 
 
 def accuracy() -> str:

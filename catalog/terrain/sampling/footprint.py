@@ -280,19 +280,12 @@ def sample_level(
     if not out.size:
         return out
     extent = _measure_extent(*pixels)
-    if (
-        size
-        and _is_inside(base, extent)
-        and _sample_along_rows(base, pixels, extent, rows_wide, size, out)
-    ):
-        chosen = np.flatnonzero(np.isnan(out))  # beside holes
-        if not chosen.size:
-            return out
-        extent = _measure_chosen_extent(*pixels, chosen)
-    elif _is_inside(base, extent):
+    inside = _is_inside(base, extent)
+    if inside and not (size and _sample_along_rows(base, pixels, extent, rows_wide, size, out)):
         chosen = np.arange(out.size)
-    else:
-        chosen = np.flatnonzero(_mark_inside(base, pixels, rows_wide))
+    else:  # nodes beside holes are left, or places outside the raster are not looked up
+        wanted = np.isnan(out) if inside else _mark_inside(base, pixels, rows_wide)
+        chosen = np.flatnonzero(wanted)
         if not chosen.size:
             return out
         extent = _measure_chosen_extent(*pixels, chosen)

@@ -22,9 +22,8 @@ from catalog.geometry.vectors import angle_between
 
 FILE = "configs/models/orbit_fixes.toml"
 TOGETHER = 0.1  # lengths of fading between fixes that have the error of the best of them in common
-MAX_TOGETHER = (
-    8  # such fixes before and after one: more cameras than a craft has, few of a dense arc
-)
+# Such fixes before and after one: more cameras than a craft has, few of a dense arc.
+MAX_TOGETHER = 8
 LEAST = 0.05  # correlation of neighbours below which errors are taken as independent
 
 
