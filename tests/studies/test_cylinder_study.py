@@ -49,7 +49,7 @@ def test_sizes_that_errors_were_drawn_with_are_found_again() -> None:
     own_m, own_deg = np.full(4000, 1e-4), np.full(4000, 0.1)
     d_sigma = 1.5 * np.hypot(2e-4, 1e-3 * grazing)
     sigma = np.hypot(0.3, 1.5 * grazing)
-    shipped = np.array([load_error_sizes().variances(math.radians(t), 1.5) for t in theta])
+    shipped = np.array([load_error_sizes().compute_variances(math.radians(t), 1.5) for t in theta])
     table = np.stack(
         [
             np.zeros(4000),
