@@ -12,7 +12,7 @@ from catalog.errors import NoSolutionError
 
 
 class ReasonCode(StrEnum):
-    """The codes, each with its meaning; the list of the documentation is made from here."""
+    """The codes, each with its meaning; TABLES.md refers to this list."""
 
     meaning: str
 

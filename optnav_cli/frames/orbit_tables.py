@@ -70,18 +70,15 @@ ORBIT_RESIDUALS = CsvTable(
             _filled(f"residual_{a}_m", f"fix less orbit along {a.upper()}", "m", "z.4f")
             for a in AXES
         ),
-        *(
-            _filled(f"sigma_{a}_m", f"the fix's stated sigma along {a.upper()}", "m", "z.4f")
-            for a in AXES
-        ),
+        *(_filled(f"sigma_{a}_m", f"stated sigma along {a.upper()}", "m", "z.4f") for a in AXES),
         _filled("chi_square", "normalised residual squared; 3 is expected", "", "z.4f"),
         CsvColumn("used", "whether the solution uses it", "flag"),
-        text("reason", "why not used", empty=True),
+        REASON,
     )
 )
 
 _SIGHT = (
-    text("utc", "time of the measurement, UTC"),
+    UTC,
     text("type", "star_zenith"),
     _filled("ra_deg", "right ascension of the star at that time, ICRS", "deg", "z.6f"),
     _filled("dec_deg", "declination of the star", "deg", "z.6f"),
@@ -105,7 +102,7 @@ ZENITH_RESIDUALS = CsvTable(
         _filled("sigma_arcsec", "1 sigma", "arcsec", ".6g"),
         _filled("chi_square", "normalised residual squared; 1 is expected", "", "z.4f"),
         CsvColumn("used", "whether the solution uses it", "flag"),
-        text("reason", "why not used", empty=True),
+        REASON,
     )
 )
 
@@ -159,7 +156,7 @@ QSO = CsvTable(
         count("orbit", "number of the orbit", empty=False),
         number("distance_km", "requested distance from the surface", "km", ".6g", empty=False),
         number("longitude_deg", "east longitude of the passes", "deg", ".6g", empty=False),
-        text("utc", "time of the start, UTC"),
+        UTC,
         number("anomaly_deg", "mean anomaly of the moon at the start", "deg", "z.3f", empty=False),
         *(STATUS, *_make_state_columns()),
         number("radius_km", "distance of the start from the centre", "km", "z.4f"),
@@ -181,7 +178,7 @@ QSO_PASSES = CsvTable(
     (
         count("orbit", "number of the orbit", empty=False),
         count("pass", "number of the pass; 0 is the start", empty=False),
-        text("utc", "time of the pass, UTC"),
+        UTC,
         number("distance_km", "distance from the surface", "km", "z.4f", empty=False),
         number("rate", "`rate` of the revolution before", "", "z.5f"),
         *_make_state_columns(empty=False),
@@ -251,9 +248,9 @@ DELIVERY_STAGES = CsvTable(
         text("stage", "injection, correction NUMBER, or arrival: the errors before it"),
         number("day", "since the start", "d", ".6g", empty=False),
         number("condition", "condition number of the matrix from velocity to arrival", "", ".4g"),
-        *(number(f"bound_{i}", f"bound of {w} by the boxes", u, ".6g") for i, w, u in _AIM),
-        *(number(f"trials_{i}", f"99.73 % of the trials' {w}", u, ".6g") for i, w, u in _AIM),
-        *(number(f"navigation_{i}", f"navigation's 1 sigma of {w}", u, ".6g") for i, w, u in _AIM),
+        *(number(f"bound_{i}", f"bound by the boxes, {w}", u, ".6g") for i, w, u in _AIM),
+        *(number(f"trials_{i}", f"99.73 % of the trials, {w}", u, ".6g") for i, w, u in _AIM),
+        *(number(f"navigation_{i}", f"navigation's 1 sigma, {w}", u, ".6g") for i, w, u in _AIM),
         number("bound_dv_m_s", "bound of the correction", "m/s", ".6g"),
         number("trials_dv_m_s", "99.73 % of the trials' correction", "m/s", ".6g"),
         number("largest_dv_m_s", "largest correction of the trials", "m/s", ".6g"),
@@ -264,8 +261,8 @@ DELIVERY_STAGES = CsvTable(
 DELIVERY_BOXES = CsvTable(
     (
         text("stage", "stage of stages.csv"),
-        *(number(f"{i}_from", f"lower side of the box in {w}", u, ".6g") for i, w, u in _AIM),
-        *(number(f"{i}_to", f"upper side of the box in {w}", u, ".6g") for i, w, u in _AIM),
+        *(number(f"{i}_from", f"lower side of the box, {w}", u, ".6g") for i, w, u in _AIM),
+        *(number(f"{i}_to", f"upper side of the box, {w}", u, ".6g") for i, w, u in _AIM),
         number("spent_m_s", "largest total velocity change", "m/s", ".6g", empty=False),
     )
 )
@@ -273,7 +270,7 @@ DELIVERY_BOXES = CsvTable(
 DELIVERY_ARRIVALS = CsvTable(
     (
         count("trial", "number of the trial, from 1", empty=False),
-        *(number(i, f"{w} less the aim", u, ".6g", empty=False) for i, w, u in _AIM),
+        *(number(i, f"less the aim, {w}", u, ".6g", empty=False) for i, w, u in _AIM),
         number("dv_m_s", "velocity change of all corrections", "m/s", ".6g", empty=False),
     )
 )

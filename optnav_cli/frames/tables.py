@@ -48,14 +48,14 @@ def _pixel(name: str, meaning: str, empty: bool = True, newer: bool = False) -> 
 
 
 FILE = text("file", "name of the picture, relative to the picture folder")
-UTC = text("utc", "time of the picture, UTC, as 2023-08-17T05:23:10.250Z")
+UTC = text("utc", "time, UTC, as 2023-08-17T05:23:10.250Z")
 CAMERA = text("camera", "name of the camera, that of a file in cameras/")
 PREDICTED = count("n_predicted", "control points expected in view, lit, unhidden, inside")
 MATCHED = count("n_matched", "of these, matched")
 USED = count("n_used", "of these, used by the solution")
 STATUS = text("status", "solved or unsolved")
 METHOD = text("method", "method that solved the frame, or the last one tried", empty=True)
-REASON = text("reason", "why a frame is unsolved, or a remark", empty=True)
+REASON = text("reason", "why unsolved, unused or retired, or a remark", empty=True)
 REASON_CODE = CsvColumn("reason_code", "code of that reason", "text", empty=True, newer=True)
 
 # Of frames.csv and solution.csv, where people add it.
@@ -64,10 +64,10 @@ TO_SUN = "unit vector to the Sun, body frame"
 FRAMES = CsvTable(
     (
         *(FILE, UTC, CAMERA, *_quaternion("attitude", ".12f")),
-        number("attitude_sigma_arcsec", "1 sigma an axis; 0: exact, empty: free", "arcsec", ".6g"),
+        number("attitude_sigma_arcsec", "1 sigma per axis; 0: exact, empty: free", "arcsec", ".6g"),
         *_position("prior position of the camera", ".4f"),
-        number("position_sigma_m", "1 sigma of the prior position, a component", "m", ".6g"),
-        *(number(name, f"{TO_SUN}, {name[-1]}; empty: by the time", "", ".12f") for name in SUN),
+        number("position_sigma_m", "1 sigma of the prior position per component", "m", ".6g"),
+        *(number(name, f"{TO_SUN}, {name[-1]}; empty: from the time", "", ".12f") for name in SUN),
     ),
     by_hand=True,
     together=(QUATERNION, POSITION, SUN),
@@ -80,9 +80,9 @@ PICKED_POINTS = CsvTable(
         number("lat_deg", "its latitude, as `[points]` of run.toml says", "deg", ".9f", False),
         number("lon_deg", "its longitude, east positive", "deg", ".9f", False),
         number("height_m", "its height, as `[points]` of run.toml says", "m", ".4f", False),
-        number("sigma_px", "1 sigma of the pick, a coordinate; over 0", "px", ".6g", False),
-        number("sigma_m", "1 sigma of the place, a coordinate; 0: exact", "m", ".6g", False),
-        text("name", "of the point, once in a picture; empty: its number", empty=True),
+        number("sigma_px", "1 sigma of the pick per coordinate; over 0", "px", ".6g", False),
+        number("sigma_m", "1 sigma of its coordinates, each; 0: exact", "m", ".6g", False),
+        text("name", "point name, unique per picture; empty: its number", empty=True),
     ),
     by_hand=True,
 )
@@ -90,7 +90,7 @@ PICKED_POINTS = CsvTable(
 STAR_FRAMES = CsvTable(
     (
         *(FILE, text("utc", f"{UTC.meaning}; empty: J2025", empty=True), CAMERA),
-        *_position("where known: how quick an orbit is there", ".4f"),
+        *_position("position where known: speed of an orbit there", ".4f"),
     ),
     by_hand=True,
     together=(POSITION,),
@@ -122,8 +122,8 @@ TIMES_AND_CAMERAS = CsvTable((FILE, UTC, CAMERA))
 
 TRUTH = CsvTable(
     (
-        *(FILE, UTC, *_position("true position of the camera", ".4f", empty=False)),
-        *_quaternion("true attitude", ".12f"),
+        *(FILE, UTC, *_position("position", ".4f", empty=False)),
+        *_quaternion("attitude", ".12f"),
     ),
     by_hand=True,
 )
@@ -131,7 +131,7 @@ TRUTH = CsvTable(
 STAR_TRUTH = CsvTable(
     (
         *(FILE, text("utc", UTC.meaning, empty=True)),
-        *_quaternion("true attitude", ".12f", empty=False),
+        *_quaternion("attitude", ".12f", empty=False),
     ),
     by_hand=True,
 )
@@ -147,12 +147,12 @@ MEASURED = CsvTable(
 
 SOLUTION = CsvTable(
     (
-        *(FILE, UTC, STATUS, METHOD, *_position("position of the camera", "z.4f")),
+        *(FILE, UTC, STATUS, METHOD, *_position("position", "z.4f")),
         *(
             number(name, f"covariance of the position, {name[4:6]}", "m²", ".9e")
             for name in COVARIANCE
         ),
-        *_quaternion("attitude, stated or solved", "z.15f"),
+        *_quaternion("attitude", "z.15f"),
         number("attitude_sigma_arcsec", "1 sigma per axis; 0: exact", "arcsec", "z.6f"),
         number("lat_deg", "planetocentric latitude", "deg", "z.9f"),
         number("lon_deg", "longitude, -180 to 180, east positive", "deg", "z.9f"),
@@ -213,7 +213,7 @@ MATCHES = CsvTable(
         number("sun_elevation_deg", "Sun elevation at the point", "deg", "z.4f"),
         *_pixel("residual", "measured less predicted, after the solution"),
         CsvColumn("used", "whether the solution uses it", "flag"),
-        text("reason", "why not used", empty=True),
+        REASON,
         REASON_CODE,
         *_pixel("prior", "predicted from the prior", newer=True),
         CsvColumn(
@@ -241,7 +241,7 @@ LANDMARKS = CsvTable(
             for name in GROUND_COVARIANCE
         ),
         text("status", "tracked to the end, or retired"),
-        text("reason", "why it was retired", empty=True),
+        REASON,
     )
 )
 
@@ -270,7 +270,7 @@ COMMON_NUMBERS = CsvTable(
 EVALUATION = CsvTable(
     (
         *(FILE, UTC, STATUS, METHOD),
-        text("camera", "name of the camera, if known", empty=True),
+        replace(CAMERA, empty=True),
         text("forward", "definition of the axis N: motion, or local north"),
         number("truth_height_m", "true height above the reference sphere", "m", "z.3f"),
         *(
@@ -346,7 +346,7 @@ PADS = CsvTable(
             number(f"dir_body_{i}", f"direction to the pad, body frame, {i}", "", "z.9f")
             for i in "xyz"
         ),
-        text("reason", "why the square has no pad", empty=True),
+        REASON,
     )
 )
 

@@ -7,20 +7,17 @@
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from itertools import groupby
 from pathlib import Path
-
-import click
 
 from catalog.tables import CsvColumn, CsvTable
 from optnav_cli.frames import orbit_tables
 from optnav_cli.frames import tables as csv_columns
-from optnav_cli.main import COMMANDS, cli
-from optnav_cli.reasons import ReasonCode
+from optnav_cli.main import COMMANDS
 from tests.golden.headlines import HEADLINES
 from tests.studies.registry import STUDIES
-from tests.studies.stored import list_stored, read_report, read_stored
+from tests.studies.stored import read_report, read_stored
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 CONFIGS = CHECKOUT / "configs"
@@ -34,9 +31,6 @@ ACCURACY = {
     "Control points, narrow camera at 200 km, prior off by 3 km, terrain model with the errors of "
     "GLD100: {} of {} frames, {} m horizontal, {} m height, NEES {}.": (
         "navigation_real 0 0 solved frames horizontal_rms_m height_rms_m nees"
-    ),
-    "The same at 400 km: {} of {} frames, {} m horizontal, {} m height, NEES {}.": (
-        "navigation_real 0 4 solved frames horizontal_rms_m height_rms_m nees"
     ),
     "No prior at all, fisheye at 200 km: {} m horizontal, {} m height.": (
         "autonomous 0 1 horizontal_rms_m height_rms_m"
@@ -95,27 +89,44 @@ TABLES = {
     "delivery_boxes": "boxes.csv",
     "delivery_arrivals": "arrivals.csv",
 }
+# Commands that the page of `optnav build` shows.
+BUILD_STAGES = ("ingest", "render", "select", "check", "write")
+COMMAND_PAGES = {
+    "demo": "#try-it",
+    "build": "catalog/README.md#build",
+    "catalog": "catalog/README.md#look-at-a-catalog",
+    "import": "optnav_cli/archives/README.md",
+    "simulate": "optnav_cli/simulation/README.md",
+    "navigate": "optnav_cli/navigate/README.md",
+    "adjust": "optnav_cli/calibration/README.md#adjust-runs-together",
+    "calibrate": "optnav_cli/calibration/README.md",
+    "stars": "optnav_cli/stars/README.md",
+    "stereo": "optnav_cli/stereo/README.md",
+    "cylinder": "optnav_cli/cylinder/README.md",
+    "orbit": "optnav_cli/orbit/README.md",
+    "slopes": "optnav_cli/hazard/README.md#slopes",
+    "hazard": "optnav_cli/hazard/README.md",
+    "evaluate": "optnav_cli/evaluation/README.md",
+    "export": "optnav_cli/output/README.md#gis-layers",
+    "report": "optnav_cli/output/README.md",
+    "config": "configs/README.md",
+}
 MAX_NAMES = 6  # of merged columns that are all written out
 UNIT_IN_NAME = re.compile(r"_(?:k?m|m2|px|deg|arcsec|s|m_s|m_s2|percent)$")
 # The axis in what a column holds, as ", x" or " along R"; columns that differ in it share a row.
-AXIS = re.compile(r"(?:,| along| about the camera's) (?:[A-Za-z]|[a-z]{2})(?=$|[;:])")
+AXIS = re.compile(
+    r"(?:,| along| about the camera's) (?:[A-Za-z]|[a-z]{2}|eta|time of the pericentre)(?=$|[;:])"
+)
 # Headline rows of the benches; their other rows stand in tests/bench/figures alone.
 BENCH_ROWS = {
     "bench": (
         "a frame with 19 control points by ncc, attitude free",
-        "a control point matched at all 4 levels by ncc",
         "a frame of 2048² by the limb over relief",
-        "the limb of an ellipsoid through 1000 points, with covariance",
         "200 frames with priors by one worker, by two",
-        "picture of a mesh of half a million triangles, 1024², with shadows, full phase, "
-        "1² rays at edges",
-        "lunar-lambert shading with shadows",
         "hapke shading with shadows",
         "catalog of 41252 points: nearest, row of a point, patches of a point",
         "a day of an orbit at 100 km with its transition, 288 outputs: field of degree 50",
         "stars of a picture of 1024²: spots and identification",
-        "a frame of 20 picked points through air, blunders sought, with covariance",
-        "stereo height of a pair",
         "hazard map and pads of a picture of 2048² from 500 m, by shading",
     ),
     "bench_global": (
@@ -125,10 +136,7 @@ BENCH_ROWS = {
         "peak memory at 118 m and at 948 m: a worker",
         "the same: the process that leads",
         "catalog with patches of 80 and 96 nodes, from 118 m",
-        "open, nearest, points of a cell, a point's patches",
-        "usable points of the made Moon",
         "usable points of the real Moon",
-        "not usable: flat, not unique, shadowed, not recognised",
     ),
 }
 RANGE = re.compile(r" \([^()]* to [^()]*, \d+ runs\)")  # of repeated runs, behind their median
@@ -157,18 +165,12 @@ def accuracy() -> str:
 
 
 def headlines() -> str:
-    """A row per study: its question, its decisive figures, date and commit of its stored runs."""
-    lines = ["| study | question | figures | stored runs |", "|---|---|---|---|"]
+    """A row per study: its question and its decisive figures."""
+    lines = ["| study | question | figures |", "|---|---|---|"]
     questions = {study.name: study.question for study in STUDIES}
-    reports = {name: read_stored(name) for name in list_stored()}
     for name, texts in HEADLINES.items():
         figures = "; ".join(text.format(*pick_cells(place)) for text, place in texts.items())
-        runs = "; ".join(
-            f"{'' if stored == name else f'`{stored}` '}{report.date} {str(report.commit)[:8]}"
-            for stored, report in reports.items()
-            if report.study == name
-        )
-        lines.append(f"| `{name}` | {questions[name]} | {figures} | {runs} |")
+        lines.append(f"| `{name}` | {questions[name]} | {figures} |")
     return "\n".join(lines)
 
 
@@ -195,22 +197,12 @@ def caption(name: str) -> str:
 
 
 def commands() -> str:
-    """Every command with its short help."""
-    return _listed({f"optnav {name}": entry.text for name, entry in COMMANDS.items()})
-
-
-def subcommands(group: str) -> str:
-    """Every command of a group with its short help."""
-    found = _commands_of(group).items()
-    return _listed({f"optnav {group} {name}": sub.get_short_help_str(200) for name, sub in found})
-
-
-def _commands_of(group: str) -> dict[str, click.Command]:
-    context = click.Context(cli)
-    found = cli.get_command(context, group)
-    assert isinstance(found, click.Group)
-    subs = {name: found.get_command(context, name) for name in found.list_commands(context)}
-    return {name: sub for name, sub in subs.items() if sub}
+    """Every command with a link to its page and its short help, without the build's stages."""
+    lines = ["| | |", "|---|---|"]
+    for name, entry in COMMANDS.items():
+        if name not in BUILD_STAGES:
+            lines.append(f"| [`optnav {name}`]({COMMAND_PAGES[name]}) | {entry.text} |")
+    return "\n".join(lines)
 
 
 def configs(folder: str) -> str:
@@ -236,8 +228,14 @@ def tables() -> str:
     parts = [f"## Common columns\n\n{_column_lines(common.values(), optional=False)}"]
     for title, table in csv_tables.items():
         own = [column for column in table.columns if _identity(column) not in common]
-        parts.append(f"## {title}\n\n{_column_lines(own)}")
+        shown = _column_lines(own) if own else f"Common columns: {_list_names(table.columns)}."
+        parts.append(f"## {title}\n\n{shown}")
     return "\n\n".join(parts)
+
+
+def _list_names(columns: Iterable[CsvColumn]) -> str:
+    groups = groupby(columns, key=lambda column: _identity(column)[1:])
+    return ", ".join(_join_names([column.name for column in group]) for _, group in groups)
 
 
 def _csv_table(name: str) -> CsvTable:
@@ -253,7 +251,7 @@ def _identity(column: CsvColumn) -> tuple[str, str, str]:
 
 
 def _column_lines(columns: Iterable[CsvColumn], optional: bool = True) -> str:
-    """Render columns as a Markdown list; neighbours that differ in an axis share a line.
+    """Render columns as a Markdown list; neighbours that differ in the axis alone share a line.
 
     optional  whether a question mark tells columns with empty cells
     """
@@ -265,16 +263,28 @@ def _column_lines(columns: Iterable[CsvColumn], optional: bool = True) -> str:
 
     lines = []
     for (unit, holds), group in groupby(columns, key=meaning):
-        names = [f"`{column.name}`" for column in group]
-        if len(names) > MAX_NAMES:
-            names = [names[0], f"... {len(names)} columns ...", names[-1]]
-        lines.append(f"- {' '.join(names)}{' ' if len(unit) > 1 else ''}{unit}: {holds}")
+        names = _join_names([column.name for column in group])
+        lines.append(f"- {names}{' ' if unit.strip('?') else ''}{unit}: {holds}")
     return "\n".join(lines)
 
 
-def reasons() -> str:
-    """The codes of reasons."""
-    return _listed({code.value: code.meaning for code in ReasonCode if code})
+def _join_names(names: list[str]) -> str:
+    """Write names with their common beginning and end once, as `cov_{xx,xy}_m2`."""
+    if len(names) > MAX_NAMES:
+        return f"`{names[0]}` ... {len(names)} columns ... `{names[-1]}`"
+    if len(names) == 1:
+        return f"`{names[0]}`"
+    start = _find_common_start(names)
+    end = _find_common_start([name[len(start) :][::-1] for name in names])[::-1]
+    middles = [name[len(start) : len(name) - len(end)] for name in names]
+    return f"`{start}{{{','.join(middles)}}}{end}`"
+
+
+def _find_common_start(texts: list[str]) -> str:
+    length = 0
+    while len({text[: length + 1] for text in texts}) == 1 and length < len(texts[0]):
+        length += 1
+    return texts[0][:length]
 
 
 PARTS: dict[str, Callable[..., str]] = {
@@ -285,10 +295,8 @@ PARTS: dict[str, Callable[..., str]] = {
         accuracy,
         caption,
         commands,
-        subcommands,
         configs,
         tables,
-        reasons,
     )
 }
 
@@ -306,11 +314,6 @@ def outdated() -> list[Path]:
     """The documents whose made parts are not what they should be."""
     texts = {path: path.read_text(encoding="utf-8") for path in DOCUMENTS}
     return [path for path, text in texts.items() if current(text) != text]
-
-
-def _listed(texts: Mapping[str, str]) -> str:
-    rows = (f"| `{name}` | {text} |" for name, text in texts.items())
-    return "\n".join(["| | |", "|---|---|", *rows])
 
 
 def main() -> None:

@@ -52,11 +52,6 @@ FLIGHTS = {
         "`orbit_400km`, 10 minutes apart, two cameras.",
     ),
 }
-GIVEN = (
-    "Only time and the attitude to the stars are given, to 10″; rotation and Sun are of SPICE; the "
-    "catalog's cells of 3° leave few points to the narrow camera."
-)
-SHOWN = "Marks are solution minus truth, dashes and bars 3 stated sigmas, crosses unsolved frames."
 WIDTH, GAP_PX, ROW_PX = 980, 12, 22
 TINT, STRONG_TINT = 0.41, 0.80  # of the colours over the relief, as on the page of a catalog
 PAPER, INK = (255, 255, 255), (48, 35, 27)
@@ -85,7 +80,7 @@ def fly(work: Path, catalog: Path, readme: Path) -> Iterator[tuple[Path, str]]:
         optnav("evaluate", str(run), "--truth", str(pictures / "truth.csv"))
         path = readme / f"{name}.svg"
         optnav("report", str(run), "-o", str(path))
-        yield path, f"{words} {GIVEN} {_outcome(run)} {SHOWN}"
+        yield path, f"{words} {_outcome(run)}"
 
 
 def _outcome(run: Path) -> str:
@@ -95,9 +90,9 @@ def _outcome(run: Path) -> str:
         raise ValueError(f"{run}: was not evaluated")
     known = [row for row in read_error_rows(run / EVALUATION_CSV) if row.error_rnb_m is not None]
     worst = max(float(np.abs(r.error_rnb_m / r.sigma_rnb_m).max()) for r in known)
-    codes = Counter(s.reason_code.meaning for s in read_run(run).solutions if not s.solved)
-    why = "; ".join(f"{number} × {meaning}" for meaning, number in codes.most_common())
-    others = f" The others: {why}." if why else ""
+    codes = Counter(s.reason_code.value for s in read_run(run).solutions if not s.solved)
+    why = "; ".join(f"{number} × `{code}`" for code, number in codes.most_common())
+    others = f" Unsolved: {why}." if why else ""
     return (
         f"{figures['solved']} of {figures['frames']} frames are solved, NEES "
         f"{figures['normalised_error_squared']:.2f}; the largest error is {worst:.1f} of its "
@@ -146,8 +141,8 @@ def usable_map(path: Path) -> tuple[ByteArray, str]:
             f"A catalog of the whole Moon from the 948 m model, cells of "
             f"{catalog.meta.cell_deg:g}°: {format_count(usable)} of "
             f"{format_count(len(catalog))} points usable; "
-            "above in equal area, below the polar caps. The others stand in the colour of "
-            "the first check that they failed, as on the page of `optnav report`."
+            "above in equal area, below the polar caps. Others have the colour of the first check "
+            "that they failed."
         )
     return np.vstack([*rows, strip]), caption
 

@@ -37,7 +37,6 @@ HEADLINES: dict[str, dict[str, str]] = {
     },
     "discs": {
         "Moon of 2.2-3 px: {}, direction {}, range {}": "discs 0 0 moon_solved direction range",
-        "6-10 px: {}, {}, {}": "discs 0 3 moon_solved direction range",
     },
     "phobos": {
         "limb, 100 km: {} m across (≤ {}), {} % of range (≤ {})": (
@@ -46,7 +45,6 @@ HEADLINES: dict[str, dict[str, str]] = {
         "points, 40 km: {} of {}, NEES {} (0.7-1.4); 20 km: {} of {}": (
             "phobos 0 6 solved frames nees; 0 7 solved frames"
         ),
-        "flight, 40-20 km: {} of {}, NEES {}": "phobos_approach 0 2 solved frames nees",
     },
     "comet": {
         "no position: {} of {} ({} %), {} m across as seen (≤ {}), range {} % (≤ {}), NEES {}": (
@@ -71,9 +69,6 @@ HEADLINES: dict[str, dict[str, str]] = {
         "118 m model, 6.5-2 km: {} of {}, {} m a component / {} m height ({}), NEES {}": (
             "descent 0 1 solved frames horizontal_a_component_m height_m asked_for_m nees"
         ),
-        "model wrong by 3 m, 20-6.5 km: {} / {} m ({}), NEES {}": (
-            "descent 0 2 horizontal_a_component_m height_m asked_for_m nees"
-        ),
         "12 m model: {} / {} m ({}), NEES {}": (
             "descent_fine 0 0 horizontal_a_component_m height_m asked_for_m nees"
         ),
@@ -82,13 +77,11 @@ HEADLINES: dict[str, dict[str, str]] = {
         "rough ground, {} % above 7°, Sun at 20°: {} % of pads, {} % expected": (
             "hazard 0 2 area_7 pads_7 expected"
         ),
-        "Sun at 5°: {} %, {} % expected": "hazard 0 3 pads_7 expected",
         "Sun at 20°, albedo of 6 %: {} %, {} % expected": "hazard 0 8 pads_7 expected",
     },
     "stereo": {
         "100 m, mounting exact: {} m (0.1)": "stereo 0 2 exact_m",
         'known to 20": {} m, {} m stated': "stereo 0 2 mounted_m mounted_sigma_m",
-        "side velocity {} mm/s (≤ {})": "stereo 2 0 error asked",
     },
     "stars": {
         "`unk`: {} of {} (98 %), {} wrong, {}″ across": "stars 0 0 found frames wrong across",
@@ -112,13 +105,9 @@ HEADLINES: dict[str, dict[str, str]] = {
     "calibration": {
         "NEES {} ({})": "calibration 0 0 NEES asked",
         "f {} % (0.004), clock {} ms (3)": "calibration 1 0 error; 1 7 error",
-        "navigated: {} m as told, {} m as calibrated": (
-            "calibration 4 0 horizontal; 4 1 horizontal"
-        ),
     },
     "orbit": {
         "NEES {} ({})": "orbit 0 5 found wanted",
-        "orbit {} m ({})": "orbit 0 8 found wanted",
         "prediction of 12 h {} m ({})": "orbit 0 11 found wanted",
     },
     "orbit_motion": {
@@ -130,19 +119,15 @@ HEADLINES: dict[str, dict[str, str]] = {
         "Moon: {} m range, {} m across, NEES {} ± {} (0.7-1.4)": (
             "orbit_runs 0 5 range across_m nees error"
         ),
-        "Phobos from 40 km on: {} m range (≤ 60)": "orbit_runs 0 4 range",
     },
     "zenith": {
         "500 sessions: {} m (source: {})": "zenith 0 2 mean seed",
-        "vertical from the limb: {} m, {} m stated": "zenith 5 0 mean stated",
     },
     "qso": {
         "ring at 50 km: {} km (source: {})": "qso 0 0 ring seed_ring",
-        "averaged rate off by {} % at 50 km, {} % at 200 km": "qso 1 0 circle_off; 1 11 circle_off",
     },
     "landing": {
         "arrival {} m (≤ 30), NEES {} (0.7-1.4)": "landing 2 2 error nees",
-        "at 500 m: {} m height (≤ 1), {} m side (≤ 8)": "landing 3 0 height side",
         "{} of {} landed, {} m off at most (≤ 100)": "landing 4 0 landed trials most",
     },
     "delivery": {
@@ -167,7 +152,6 @@ HEADLINES: dict[str, dict[str, str]] = {
     },
     "matching": {
         "scale {}, aided {}": "matching 0 1 correlation aided_both",
-        "roll {}, aided {}": "matching 0 3 correlation aided_both",
     },
     "photometry": {
         "lunar-Lambert to {}°: correlation ≥ {}, shift ≤ {} nodes": (

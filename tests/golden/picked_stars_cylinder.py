@@ -53,9 +53,9 @@ def _picked(folder: Path) -> str:
         if s.covariance_m2 is not None
     ]
     return (
-        f"Three pictures of the Earth from 420 km with {len(run.matches)} picked points, {used} of "
-        "them used: where they lie, with their residuals, and 3 stated sigmas of the place. The "
-        f"lens, known to 1 %, leaves {min(sigmas) / 1e3:.1f} to {max(sigmas) / 1e3:.1f} km (1 "
+        f"Three pictures of the Earth from 418 km with {len(run.matches)} picked points, {used} of "
+        "them used, with residuals and 3 stated sigmas of the position. The "
+        f"lens, known to 0.5 %, leaves {min(sigmas) / 1e3:.1f} to {max(sigmas) / 1e3:.1f} km (1 "
         "sigma) along the line of sight."
     )
 
@@ -67,7 +67,7 @@ def _stars(folder: Path) -> str:
     return (
         f"Stars beside the lit Moon, drawn from 10 000 km: {row['n_used']} of {row['n_spots']} "
         f"spots are named, and the attitude is known to {across:.1f}″ across and {about:.1f}″ "
-        "about the axis. Spots on the Moon's night side are left out."
+        "about the axis."
     )
 
 

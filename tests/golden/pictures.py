@@ -25,7 +25,7 @@ from optnav_cli.hazard.hazard_map import map_hazard
 from optnav_cli.hazard.output import draw_overview
 from optnav_cli.hazard.settings import HazardSettings
 from optnav_cli.output.canvas import scale_to_eight_bits
-from optnav_cli.output.overlay import RESIDUALS_ENLARGED, draw_overlay, project_patches
+from optnav_cli.output.overlay import draw_overlay, project_patches
 from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.report.body_sides import draw_sides_picture
 from tests.golden import sketch
@@ -78,8 +78,7 @@ def catalog_map(catalog_path: Path, config: Path, work: Path) -> Drawn:
         caption = (
             f"The bundled terrain of Tycho in cells of {catalog.meta.cell_deg:g}°: "
             f"{int(catalog.usable.sum())} of {len(catalog)} control points are usable, coloured by "
-            "their predicted match error, a quarter of them each; a node is "
-            f"{catalog.meta.posting_m:.0f} m."
+            f"predicted match error; a node is {catalog.meta.posting_m:.0f} m."
         )
     ground.close()
     return np.vstack([image, legend]), caption
@@ -151,8 +150,8 @@ def hazard_map(seed: int, elevation_deg: float, square_m: float) -> Drawn:
     found = 100.0 * np.array(study.pads_below(ground, view, mapped.pads)).mean(axis=0)
     caption = (
         f"Where to land: synthetic ground, {100.0 * ground.share_above(7.0):.0f} % of it above "
-        f"7°, under a Sun of {elevation_deg:g}°, seen from {height_m:g} m; its risk and the slopes "
-        f"that its shading tells. Boxes are the pads of 20 m chosen in squares of {square_m:g} m: "
+        f"7°, under a Sun of {elevation_deg:g}°, seen from {height_m:g} m; its risk and its slopes "
+        f"by shading. Boxes are the pads of 20 m chosen in squares of {square_m:g} m: "
         f"{found[0]:.1f} % of them is expected above 7°, {found[1]:.1f} % is."
     )
     return _wide(draw_overview(mapped)), caption
@@ -200,9 +199,7 @@ def frame_overlay(
     gray = scale_to_eight_bits(load_picture(pictures / file, found.cameras[file]).values)
     caption = (
         f"{what}: {solution.n_used} of {solution.n_predicted} control points are used, residual "
-        f"{solution.residual_rms_px:.2f} px. Pink: where the prior predicted them; rings: where "
-        "the solution does; crosses: where they were found; yellow: residuals, enlarged "
-        f"{RESIDUALS_ENLARGED:.0f} times."
+        f"{solution.residual_rms_px:.2f} px."
     )
     return draw_overlay(gray, solution, matches, outlines, FRAME_PX), caption
 

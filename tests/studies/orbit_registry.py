@@ -8,7 +8,7 @@ from tests.studies.study import MANY, Study, option, output, seed, trials
 ORBIT_STUDIES = (
     Study(
         "delivery",
-        "The accuracy of deliveries to bodies: boxes against trials.",
+        "Accuracy of deliveries: boxes against trials.",
         """Bound the errors and corrections of the shipped deliveries and compare with trials.
 
         Moon by radio and by optical fixes, Mars, Venus, Jupiter with electric thrust: velocity
@@ -23,7 +23,7 @@ ORBIT_STUDIES = (
     ),
     Study(
         "landing",
-        "Landings on Phobos: impulse, rays, navigation, descent, touchdown.",
+        "Landings on Phobos.",
         """Fly landings on Phobos with drawn errors and compare the navigation with the truth.
 
         Departure impulses, rays on the shape model, transfers over wrong ground, the end of the
@@ -37,7 +37,7 @@ ORBIT_STUDIES = (
     ),
     Study(
         "orbit",
-        "Orbits through fixes: honest sigmas, predictions, other methods, parameters.",
+        "Orbits through fixes, predictions.",
         """Fit orbits through fixes with drawn errors along paths of another integrator.
 
         Needs the Moon's field to degree 90 in the folder of OPTNAV_SHARED_DATA. Takes minutes.""",
@@ -46,7 +46,7 @@ ORBIT_STUDIES = (
     ),
     Study(
         "orbit_motion",
-        "How exact and quick the motion about a body is, by degree of its field.",
+        "Accuracy and speed of the motion, by degree of the field.",
         """Fly a day at 100 km over the Moon by fields of degree 2, 20 and 50.
 
         Compares the end with scipy at 1e-13, whose rates are written another way, times the flight
@@ -56,7 +56,7 @@ ORBIT_STUDIES = (
     ),
     Study(
         "orbit_runs",
-        "Orbits through the fixes of simulated flights against the fixes, at Phobos and the Moon.",
+        "Orbits through the fixes of simulated flights.",
         """Fly past Phobos and over the Moon, navigate, fit orbits, and compare with the truth.
 
         Several flights a row, and one of its own that shows what errors of near fixes have in
@@ -71,7 +71,7 @@ ORBIT_STUDIES = (
     ),
     Study(
         "qso",
-        "Quasi-satellite orbits of Phobos against the source, the theory and other forces.",
+        "Quasi-satellite orbits of Phobos.",
         """Find quasi-satellite orbits of Phobos over 270 deg W and compare them.
 
         Rings and angular rates against those of the source, the averaged theory against the numeric
@@ -82,7 +82,7 @@ ORBIT_STUDIES = (
     ),
     Study(
         "zenith",
-        "Orbits through zenith distances of stars: the tables of the source and what they rest on.",
+        "Orbits through zenith distances of stars.",
         """Fit orbits of a lunar constellation through zenith distances of stars with drawn errors.
 
         Tables 2 to 4 and figures 2 to 5 of the source beside ours; then the same truth with a bias

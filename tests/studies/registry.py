@@ -27,7 +27,7 @@ _RUNS = "catalogs, pictures, runs and figures.json"
 _OTHERS = (
     Study(
         "acceptance",
-        "Wrong pictures that are solved and right ones that are refused.",
+        "Wrong pictures solved, right ones refused.",
         """Navigate right and wrong situations of simulated and real pictures and count the answers.
 
         Wrong ones are other ground, mirrored and turned pictures, a wrong Sun, noise, another body.
@@ -45,7 +45,7 @@ _OTHERS = (
     ),
     Study(
         "apollo",
-        "Navigate a real Apollo 15 picture over bundled terrain.",
+        "A real Apollo 15 picture over bundled terrain.",
         """Build the catalog below Apollo 15 metric frame 0297 and navigate the frame.
 
         Prints how many control points were recognised, the residual, and the correction to the pose
@@ -73,7 +73,7 @@ _OTHERS = (
     ),
     Study(
         "autonomous",
-        "Flights without any prior: accuracy and share of frames solved.",
+        "Flights without any prior.",
         """Fly without priors over Tycho and all over the Moon, and compare with the truth.
 
         Needs the 948 m model of the whole Moon in the folder that OPTNAV_SHARED_DATA names. All
@@ -83,7 +83,7 @@ _OTHERS = (
     ),
     Study(
         "calibration",
-        "Calibrate a camera in flight: accuracy, honesty, what cannot be told apart.",
+        "A camera calibrated in flight.",
         """Calibrate routes with a lens that is not the told one and compare with the truth.
 
         Routes at measurement level give the statistics; one is drawn, matched, calibrated, and
@@ -117,7 +117,7 @@ _OTHERS = (
     ),
     Study(
         "cylinder",
-        "A lit cylinder: distance, light and speed, and the printed formula.",
+        "A lit cylinder: distance, light and speed.",
         """Draw pictures of a cylinder whose cloth and light the fit does not have, and fit them.
 
         Errors by the angle of the light against what is asked and stated, the speed of a craft that
@@ -162,7 +162,7 @@ _OTHERS = (
     ),
     Study(
         "discs",
-        "Direction and range of discs of 2 to 40 px, and their covariance.",
+        "Direction and range of discs of 2 to 40 px.",
         """Draw small discs of the Moon and of Phobos, solve them, and compare with the truth.
 
         Needs nothing but what is bundled; 30 discs of each size take a quarter of an hour.""",
@@ -196,7 +196,7 @@ _OTHERS = (
     ),
     Study(
         "fit",
-        "The sizes of errors of matches, fitted and scored on other ground.",
+        "Error sizes of matches, scored on other ground.",
         """Fit the sizes of a model of errors, configs/models/NAME.toml, by maximum likelihood.
 
         Frames over ground that differs from the terrain model as the Moon's does from GLD100 are
@@ -227,7 +227,7 @@ _OTHERS = (
     ),
     Study(
         "hazard",
-        "How safe the pads of a hazard map are, by shading and by variance.",
+        "Danger of the pads of a hazard map.",
         """Map hazards of fields of synthetic ground and judge the chosen pads by their true slopes.
 
         Ground of which 38 % and 16 % are above 7 deg, a Sun of 20 and 5 deg from any azimuth; other
@@ -242,7 +242,7 @@ _OTHERS = (
     ),
     Study(
         "horizon",
-        "Positions from the limb alone, sphere against terrain-aware.",
+        "Positions from the limb alone.",
         """Solve single pictures from 50 to 100 000 km by their limb, and compare with the truth.
 
         Needs the 948 m model of the whole Moon in the folder that OPTNAV_SHARED_DATA names. All
@@ -253,7 +253,7 @@ _OTHERS = (
     ),
     Study(
         "matching",
-        "What matching bears of noise, scale, slant and roll.",
+        "Limits of matching: noise, scale, slant, roll.",
         """Look for control points of the bundled Tycho terrain by correlation and by SURF-64.
 
         Prints how many are recognised, and how well, as the picture's noise or the stated scale,
@@ -273,7 +273,7 @@ _OTHERS = (
     ),
     Study(
         "navigation",
-        "The accuracy table, from simulated flights over richer ground.",
+        "Control points in simulated flights.",
         """Fly, navigate and evaluate every row of the accuracy table.
 
         Rows called real fly over ground that differs from the terrain model as the Moon differs
@@ -303,7 +303,7 @@ _OTHERS = (
     ),
     Study(
         "photometry",
-        "What a simple brightness law costs against Hapke's.",
+        "Simple brightness laws against Hapke's.",
         """Draw real ground by Hapke's law and by the simple ones, and compare what a matcher sees.
 
         Shows, by emission angle, the correlation of the pictures and how far the law alone moves
@@ -313,7 +313,7 @@ _OTHERS = (
     ),
     Study(
         "points",
-        "Positions from picked points: least squares, circles, tori, the lens, blunders.",
+        "Positions from picked points.",
         """Draw pictures of the Earth with points of known places and solve them in all ways.
 
         Errors by way, by number of points and angle off the nadir; what a focal length does that is
@@ -327,7 +327,7 @@ _OTHERS = (
     ),
     Study(
         "real",
-        "Real pictures of the Moon, 67P and Eros, against their labels.",
+        "Real pictures against their labels.",
         """Import, navigate and adjust sets of real pictures with the labels of their archives.
 
         The Apollo 15 frame is bundled. FOLDER holds the others: rosetta/pictures/*.lbl with their
@@ -354,7 +354,7 @@ _OTHERS = (
     ),
     Study(
         "rotation",
-        "Fit what a body's rotation series lacks against SPICE kernels.",
+        "Analytic rotation of bodies against SPICE kernels.",
         """Fit the small turn between the published rotation of a body and that of SPICE KERNELS.
 
         Prints the section [rotation_correction] for the body's file, and on stderr what the fit
@@ -384,7 +384,7 @@ _OTHERS = (
     ),
     Study(
         "stars",
-        "Attitudes from stars: random pointings found, none wrongly.",
+        "Attitudes from stars at random pointings.",
         """Identify random pointings of three cameras among false spots, and random spots alone.
 
         How many are found, the errors of their attitudes against the stated sigmas, the time, and
