@@ -54,7 +54,7 @@ DOCUMENTS = sorted(
     path
     for pattern in ("*.md", "*/*.md", "*/*/*.md", "*/*/*/*.md")
     for path in CHECKOUT.glob(pattern)
-    if path.relative_to(CHECKOUT).parts[0] not in ("build", "dist") and ".venv" not in path.parts
+    if not path.relative_to(CHECKOUT).as_posix().startswith(("build/", "dist/", "."))
 )
 # Tables of optnav_cli/TABLES.md in their order, and the files that they describe.
 TABLES = {
