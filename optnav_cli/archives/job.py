@@ -1,5 +1,6 @@
 """Pictures of an archive, with the geometry of their labels, to a picture folder."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -20,7 +21,6 @@ from optnav_cli.archives.label import ArchiveLabel, read_label
 from optnav_cli.archives.label_geometry import VectorKeys, list_unstated_keys
 from optnav_cli.archives.pixels import COPIED, is_flipped, read_picture_shape, store_picture
 from optnav_cli.archives.source import ImportSource, check_row_time, read_sources
-from optnav_cli.archives.target import find_target_body
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.frames.folder import write_folder
@@ -28,12 +28,31 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.output.manifest import hash_files, write_manifest
 
+MIN_CUT = 8  # letters of a target's name that is cut
+MIN_WITHIN = 4  # of a name inside a word, as in "433eros": "io" is in "dione"
 KIND = "pictures"
 TABLES = "configs/imports"
 NO_TRANSX = (
     "how the picture lies in its camera's frame: no TRANSX in the label, x is taken to the right, "
     "y downwards, z along the boresight"
 )
+
+
+def find_target_body(target: str, names: Sequence[str]) -> str:
+    """The body that a label's target names, or nothing.
+
+    target  lower case: "101955 bennu", "67p/churyumov-gerasimenko", and cut to eight letters by
+            some archives, "enceladu"
+    """
+    words = re.findall(r"[a-z0-9]+", target)
+    for name in names:
+        if name in words:
+            return name
+    for name in names:
+        if any(len(word) >= MIN_CUT and name.startswith(word) for word in words):
+            return name
+    within = [name for name in names if name in target and len(name) >= MIN_WITHIN]
+    return max(within, key=len, default="")
 
 
 @dataclass(frozen=True)
