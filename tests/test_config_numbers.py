@@ -25,9 +25,8 @@ from optnav_cli.camera.camera_file import CameraFileSettings, camera_toml, load_
 from optnav_cli.control_points.settings import NavigateSettings, load_settings
 from optnav_cli.hazard.settings import HazardSettings
 from optnav_cli.hazard.settings import load_settings as hazard_settings
-from optnav_cli.simulation.approach import Approach
 from optnav_cli.simulation.descent import Descent
-from optnav_cli.simulation.inertial_path import InertialPath
+from optnav_cli.simulation.inertial_path import Approach, InertialPath
 from optnav_cli.simulation.passes import Portraits, Scenario
 from optnav_cli.simulation.scenario import load_scenario, scenario_cameras, scenario_motion
 

@@ -27,7 +27,7 @@ FLOORS = (
     {"catalog.jobs", "catalog.inspect"},
     {"catalog.pipeline"},
     {"catalog.api"},
-    {"optnav_cli.reasons", "optnav_cli.parameters"},
+    {"optnav_cli.reasons", "optnav_cli.options"},
     {"optnav_cli.fix", "optnav_cli.estimation"},
     {"optnav_cli.camera"},
     {"optnav_cli.frames"},

@@ -18,9 +18,9 @@ READERS: tuple[str, ...] = (
     "catalog.bodies.stars",
     "catalog.terrain.dem.label",
     "optnav_cli.frames.fits_picture",
-    "optnav_cli.archives.isis_keywords",
-    "optnav_cli.archives.label_keywords",
-    "optnav_cli.archives.label_pixels",
+    "optnav_cli.archives.isis_lens",
+    "optnav_cli.archives.label_geometry",
+    "optnav_cli.archives.pixels",
     "optnav_cli.frames.picture_tags",
     "optnav_cli.orbit.fit.oem_reader",
 )

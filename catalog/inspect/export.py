@@ -27,7 +27,6 @@ from catalog.files import check_file, make_prefix_test, replace_file, write_outp
 from catalog.geometry.projection import make_node_grid
 from catalog.inspect.summary import shift_document
 from catalog.rasters import DESCRIPTION, encode_geotiff, is_described
-from catalog.store.comparison import insert_shifts
 from catalog.store.connection import SIDECARS, is_points_file
 from catalog.store.geopackage import (
     MAP_AXES,
@@ -37,7 +36,7 @@ from catalog.store.geopackage import (
 )
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
-from catalog.store.records import replace_unknown
+from catalog.store.records import insert_shifts, replace_unknown
 from catalog.store.schema import POINT_LAYER, insert_service_rows
 from catalog.store.writer import insert_features
 from catalog.tables import CsvColumn, CsvTable

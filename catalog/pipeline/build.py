@@ -19,15 +19,14 @@ from catalog.jobs.cluster import check_address, start_cluster_workers
 from catalog.jobs.usage import Account, StageAccount
 from catalog.jobs.workers import count_cores, make_workers
 from catalog.jobs.workspace import MARK, ChunkResults, Workspace, compute_stage_key, encode_records
-from catalog.pipeline import check, render, select, write
+from catalog.pipeline import check, render, write
 from catalog.pipeline.comparison import report_fit
 from catalog.pipeline.config import BuildConfig, ConfigText
 from catalog.pipeline.context import DemRecord, IngestRun
 from catalog.pipeline.ingest import Bbox, MeshRecord
 from catalog.pipeline.inputs import BuildInputs, prepare_inputs
 from catalog.pipeline.relief import read_stored_relief
-from catalog.pipeline.render import RenderedCell
-from catalog.pipeline.select import SelectedCell
+from catalog.pipeline.render import RenderedCell, SelectedCell
 from catalog.pipeline.write import CatalogExtras, find_published, record_published
 from catalog.places import lock_output
 from catalog.progress import Progress, SilentProgress, log_stage
@@ -221,7 +220,7 @@ class _Build:
         if records is None:
             raise self._make_missing_error("render")
         with self.progress.stage("select", total=len(records), unit="cell") as shown:
-            chosen = select.select(inputs.context, records)
+            chosen = render.select(inputs.context, records)
             self.workspace.put(_select_name(key), encode_records(chosen))
             shown.advance(len(records))
         stage.done = 1

@@ -113,7 +113,7 @@ class ComparisonMeta:
 
     sources      of the second model: name -> hash
     max_shift_m  beyond which points were flagged; None without a limit
-    digest       of the shifts (see `catalog.store.comparison`)
+    digest       of the shifts (see `catalog.store.records`)
     """
 
     sources: Mapping[str, str]

@@ -16,7 +16,6 @@ from catalog.control_point import ComparisonShift, ControlPoint, Patch, Pyramid
 from catalog.errors import DATABASE_ERRORS, DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import wrap_longitude_deg, xyz_from_latlon
-from catalog.store.comparison import read_shifts
 from catalog.store.connection import connect, read_meta
 from catalog.store.geopackage import define_srs
 from catalog.store.manifest import CatalogMeta
@@ -31,6 +30,7 @@ from catalog.store.records import (
     compute_checksum,
     find_impossible,
     point_from_record,
+    read_shifts,
     record_from_row,
     record_type,
 )

@@ -10,7 +10,6 @@ from catalog.arrays import RecordArray
 from catalog.errors import DATABASE_ERRORS, DataError
 from catalog.progress import Progress, SilentProgress, Stage
 from catalog.store.codec import decode_counts
-from catalog.store.comparison import read_shifts
 from catalog.store.connection import SealState, check_seal, connect, find_live_log, read_meta
 from catalog.store.geopackage import APPLICATION_ID, define_srs
 from catalog.store.manifest import CatalogMeta
@@ -22,7 +21,7 @@ from catalog.store.patches import (
     stored_patch_from_row,
 )
 from catalog.store.reader import SELECT_PATCHES, read_records
-from catalog.store.records import record_from_row
+from catalog.store.records import read_shifts, record_from_row
 from catalog.store.relief import hash_relief, list_tiles
 from catalog.store.schema import (
     COMPARISON,

@@ -12,7 +12,6 @@ import numpy as np
 from catalog.control_point import ComparisonShift, ControlPoint
 from catalog.files import replace_file
 from catalog.geometry.cells import CellGrid
-from catalog.store.comparison import insert_shifts
 from catalog.store.connection import SIDECARS, is_catalog_file, write_seal
 from catalog.store.geopackage import Box, define_srs
 from catalog.store.index import CELL_SLACK_DEG
@@ -21,6 +20,7 @@ from catalog.store.patches import PreparedPoint, hash_catalog, hash_point
 from catalog.store.records import (
     Record,
     compute_checksum,
+    insert_shifts,
     make_feature_row,
     point_from_record,
     record_from_point,

@@ -6,19 +6,20 @@ right ascension and declination of the boresight with the clock angle of north.
 
 Labels of archives are off: on 75 pictures of comet 67P by 0.7 deg against the comet's shape (0.65
 deg of it in the body's axes), on Apollo 15 frame 0297 by 0.33 deg and 1.3 km. So a table's sigmas
-are those of what a label of its kind is off by, and where it states none, `source_sigmas.py` has
-those of its source.
+are those of what a label of its kind is off by, and where it states none, `choose_cube_sigmas` and
+`choose_kernel_sigmas` give those of its source.
 """
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
+from catalog.bodies.coverage import Quality
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.bodies.kernels import KernelSet
@@ -32,18 +33,12 @@ from optnav_cli.archives.label_geometry import (
     TimeKeys,
     VectorKeys,
     check_keys,
+    check_label,
     find_axes,
     is_vector_stated,
     read_attitude,
     read_time,
     read_vector,
-)
-from optnav_cli.archives.label_keywords import check_label
-from optnav_cli.archives.source_sigmas import (
-    LABEL,
-    SourceSigmas,
-    choose_cube_sigmas,
-    choose_kernel_sigmas,
 )
 from optnav_cli.frames.frames import Frame
 
@@ -58,6 +53,74 @@ Degrees = Annotated[float, msgspec.Meta(gt=0.0, le=180.0)]
 Sigma = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
 Nine = tuple[float, float, float, float, float, float, float, float, float]
 NINE_IDENTITY: Nine = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+
+class Share(NamedTuple):
+    """A position's default sigma: a share of the height, and the least of it, m."""
+
+    share: float
+    least_m: float
+
+    @property
+    def words(self) -> str:
+        return f"position {100.0 * self.share:g} % of the height, at least {self.least_m:g} m"
+
+    def sigma_m(self, position_m: FloatArray, radius_m: float) -> float:
+        """Sigma of a camera position (3,), m, body frame, above a body of a mean radius."""
+        height_m = max(float(np.linalg.norm(position_m)) - radius_m, 0.0)
+        return max(self.share * height_m, self.least_m)
+
+
+class SourceSigmas(NamedTuple):
+    """Defaults of one source: its name, the position's, and the attitude's, deg; None: free."""
+
+    source: str
+    position: Share
+    attitude_deg: float | None
+
+    def words(self, *, attitude: bool, position: bool) -> str:
+        """Say which defaults were taken."""
+        parts = []
+        if attitude and self.attitude_deg is not None:
+            parts.append(f"attitude {self.attitude_deg:g} deg")
+        if position:
+            parts.append(self.position.words)
+        return f"1-sigma errors are defaults: {', '.join(parts)} ({self.source})" if parts else ""
+
+
+LABEL = SourceSigmas("of a label", Share(0.01, 10.0), 0.5)
+_CUBE = {"reconstructed": Share(0.005, 10.0), "predicted": Share(0.01, 1000.0)}
+_CUBE_DEG = {"reconstructed": 0.1, "predicted": 0.5, "nadir": None}
+_ORBIT = {
+    "reconstructed": Share(2e-4, 100.0),
+    "": Share(1e-3, 200.0),
+    "predicted": Share(0.005, 1000.0),
+}
+_ATTITUDE_DEG = {"reconstructed": 0.05, "": 0.1, "predicted": 0.2}
+
+
+def choose_cube_sigmas(position: str, pointing: str) -> SourceSigmas:
+    """Defaults of an ISIS cube by what spiceinit calls its orbit and pointing."""
+    return SourceSigmas(
+        f"of a cube whose orbit is {position or 'not said how made'}, whose pointing "
+        f"{pointing or 'not either'}",
+        _CUBE.get(position, LABEL.position),
+        _CUBE_DEG.get(pointing, LABEL.attitude_deg),
+    )
+
+
+def choose_kernel_sigmas(orbit: Quality, attitude: Quality) -> SourceSigmas:
+    """Defaults of SPICE kernels by what their names and comments call them."""
+    return SourceSigmas(
+        f"of an orbit kernel {_describe_quality(orbit)}, "
+        f"and attitudes {_describe_quality(attitude)}",
+        _ORBIT[orbit],
+        _ATTITUDE_DEG[attitude],
+    )
+
+
+def _describe_quality(quality: Quality) -> str:
+    return f"called {quality}" if quality else "that says neither reconstructed nor predicted"
 
 
 class SpiceKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

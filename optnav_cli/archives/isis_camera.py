@@ -16,14 +16,14 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.keywords import check_keywords
-from optnav_cli.archives.isis_keywords import (
+from optnav_cli.archives.isis_lens import (
     KEYWORDS,
     Label,
     Stated,
+    add_lens,
     report_keywords,
     strip_unit,
 )
-from optnav_cli.archives.isis_lens import add_lens
 from optnav_cli.camera.camera import Camera
 
 MM_BY_M = 1e3

@@ -1,9 +1,10 @@
 """Labels of archive pictures, read alike: FITS, PDS3, PDS4, VICAR, lists of settings.
 
-PDS3 labels are read in odl.py, their units in label_units.py.
+The text is read by label_text.py. Units are converted to m, rad and s, or refused.
 """
 
 import configparser
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,14 +18,53 @@ from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, check_input
 from catalog.keywords import MAX_SHOWN
 from catalog.special_values import read_number
-from optnav_cli.archives.label_units import EXAMPLES, Quantity, extract_unit, find_unit
-from optnav_cli.archives.odl import OdlError, Statement, read_statements
-from optnav_cli.archives.pds4_label import find_elements, read_elements
-from optnav_cli.archives.vicar_label import BEGINNING as VICAR_BEGINNING
-from optnav_cli.archives.vicar_label import read_pairs
-from optnav_cli.frames.fits_cards import CARD, read_cards
-from optnav_cli.frames.fits_picture import BLOCK, read_fits_headers
+from optnav_cli.archives.label_text import BEGINNING as VICAR_BEGINNING
+from optnav_cli.archives.label_text import (
+    OdlError,
+    Statement,
+    find_elements,
+    read_elements,
+    read_pairs,
+    read_statements,
+)
+from optnav_cli.frames.fits_picture import BLOCK, CARD, read_cards, read_fits_headers
 
+Quantity = Literal["length", "angle", "time", "speed", "rate", "number"]
+
+_LENGTHS = {"m": 1.0, "km": 1e3, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "nm": 1e-9,
+            "au": 149_597_870_700.0}  # fmt: skip
+_ANGLES = {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": math.pi / 180.0,
+           "arcmin": math.pi / 10_800.0, "arcsec": math.pi / 648_000.0}  # fmt: skip
+_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0}
+_NAMES = {
+    **dict.fromkeys(("meter", "metre"), "m"),
+    **dict.fromkeys(("kilometer", "kilometre", "kms"), "km"),
+    **dict.fromkeys(("centimeter", "centimetre"), "cm"),
+    **dict.fromkeys(("millimeter", "millimetre"), "mm"),
+    **dict.fromkeys(("micrometer", "micrometre", "micron", "microns"), "um"),
+    **dict.fromkeys(("nanometer", "nanometre"), "nm"),
+    **dict.fromkeys(("a.u.", "astronomical unit"), "au"),
+    **dict.fromkeys(("radian", "rads"), "rad"),
+    **dict.fromkeys(("milliradian", "millirad"), "mrad"),
+    **dict.fromkeys(("microradian", "microrad"), "urad"),
+    **dict.fromkeys(("degree", "degs", "deg.", "°"), "deg"),
+    **dict.fromkeys(("arcminute", "minute of arc"), "arcmin"),
+    **dict.fromkeys(("arcsecond", "arcsecs", "second of arc"), "arcsec"),
+    **dict.fromkeys(("sec", "secs", "second", "sec."), "s"),
+    **dict.fromkeys(("msec", "msecs", "millisecond", "millisec"), "ms"),
+    **dict.fromkeys(("usec", "microsecond", "microsec"), "us"),
+    **dict.fromkeys(("nanosecond", "nsec"), "ns"),
+    **dict.fromkeys(("minute", "mins"), "min"),
+    **dict.fromkeys(("hour", "hr", "hrs"), "h"),
+    "day": "d",
+}
+NO_UNIT = ("", "n/a", "none", "null", "unk", "unknown", "1", "dimensionless", "unitless")
+EXAMPLES = {"length": "a length, as km or m", "angle": "an angle, as deg or rad",
+            "time": "a time, as s or ms", "number": "a number without a unit",
+            "speed": "a speed, as km/s", "rate": "a rate, as deg/s"}  # fmt: skip
+_BRACKETS = re.compile(r"\[([^\[\]]{1,24})\]")
+# A unit in words: "(km)", "in degrees", and "in (x) km" of NEAR's headers.
+_IN_WORDS = re.compile(r"(?:^|\s)\(([^()]{1,16})\)|\bin (?:\([^()]{1,8}\) )?([^\W\d]+)", re.I)
 LabelFormat = Literal["fits", "pds3", "pds4", "vicar", "settings"]
 Values = dict[str, tuple[str, ...]]
 
@@ -36,6 +76,48 @@ _NOT_STATED = ("", "-", "N/A", "NA", "UNK", "NULL", "NOT APPLICABLE", "NOT_APPLI
 _PDS3_HEAD = re.compile(
     rb"\A\s*(CCSD|NJPL)\w{8,}|^\s*PDS_VERSION_ID\s*=\s*[\"']?PDS3|^ODL_VERSION_ID", re.M
 )
+
+
+def find_unit(name: str) -> tuple[Quantity, float] | None:
+    """The quantity that a unit is of and its size in m, rad, s, m/s or rad/s; None: unknown."""
+    text = " ".join(name.lower().split())
+    if text in NO_UNIT:
+        return "number", 1.0
+    simple = _find_simple(text)
+    if simple is not None:
+        return simple
+    above, slash, below = text.partition("/")
+    top, time = _find_simple(above.strip()), _find_simple(below.strip())
+    if slash and top is not None and time is not None and time[0] == "time" != top[0]:
+        return ("speed" if top[0] == "length" else "rate"), top[1] / time[1]
+    return None
+
+
+def _find_simple(text: str) -> tuple[Quantity, float] | None:
+    tables: tuple[tuple[Quantity, dict[str, float]], ...] = (
+        ("length", _LENGTHS), ("angle", _ANGLES), ("time", _TIMES))  # fmt: skip
+    for name in (text, text.removesuffix("s"), text.removesuffix("(s)").strip()):
+        symbol = _NAMES.get(name, name if name == text else "")
+        for quantity, sizes in tables:
+            if symbol in sizes:
+                return quantity, sizes[symbol]
+    return None
+
+
+def extract_unit(comment: str) -> str:
+    """The unit that a FITS comment states, or "".
+
+    A unit is what stands in brackets at the comment's beginning (FITS standard 4.0, section 4.3.2),
+    known or not; elsewhere, or in words, only a known one is taken for a unit.
+    """
+    text = comment.strip()
+    bracketed = _BRACKETS.match(text)
+    if bracketed is not None:
+        return bracketed[1].strip()
+    words = [match[1] for match in _BRACKETS.finditer(text)]
+    words += [match[1] or match[2] for match in _IN_WORDS.finditer(text)]
+    known = ((word.strip(), find_unit(word)) for word in words)
+    return next((word for word, unit in known if unit is not None and unit[0] != "number"), "")
 
 
 @dataclass(frozen=True)

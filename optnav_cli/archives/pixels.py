@@ -1,40 +1,213 @@
-"""The pixels of an archive's picture, put into a picture folder with their mask and full scale."""
+"""The pixels of an archive's picture, put into a picture folder with their mask and full scale.
+
+PDS3, PDS4 and ISIS labels state special values, row order and coding; uncompressed PDS3 pictures
+that GDAL cannot open are read here.
+"""
 
 import shutil
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import rasterio
+from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.errors import DataError
-from catalog.keywords import check_keywords
+from catalog.inputs import MEGABYTE, read_input
+from catalog.keywords import Keyword, check_keywords
 from catalog.rasters import PICTURES, handle_read_errors, open_raster
-from catalog.special_values import SpecialValues
-from optnav_cli.archives.frame import ImportTable
-from optnav_cli.archives.label_pixels import (
-    KEYWORDS,
-    collect_keywords,
-    is_bottom_first,
-    read_specials,
+from catalog.special_values import (
+    MISSING_KEYWORDS,
+    SATURATED_KEYWORDS,
+    SpecialValues,
+    read_stored_value,
 )
-from optnav_cli.archives.pds3_picture import read_pds3_pixels
+from optnav_cli.archives.frame import ImportTable
+from optnav_cli.archives.label import ArchiveLabel
 from optnav_cli.archives.source import ImportSource
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.fits_picture import find_unit, get_fits_shape, is_fits, read_fits
-from optnav_cli.frames.full_scale import find_full_scale
-from optnav_cli.frames.raster_pixels import FULL_SCALE, apply_special, find_mask, read_raster
-from optnav_cli.frames.stored_pixels import StoredPixels
+from optnav_cli.frames.raster_pixels import (
+    FULL_SCALE,
+    StoredPixels,
+    apply_special,
+    find_full_scale,
+    find_mask,
+    read_raster,
+)
 
+MAX_BYTES = 256 * MEGABYTE
+MAX_SIDE = 65_536
+# SAMPLE_TYPE by its byte order and kind; the synonyms of appendix C.
+_KINDS = {
+    **dict.fromkeys(("MSB_UNSIGNED_INTEGER", "UNSIGNED_INTEGER", "SUN_UNSIGNED_INTEGER",
+                     "MAC_UNSIGNED_INTEGER", "IBM_UNSIGNED_INTEGER"), ">u"),
+    **dict.fromkeys(("LSB_UNSIGNED_INTEGER", "PC_UNSIGNED_INTEGER", "VAX_UNSIGNED_INTEGER"), "<u"),
+    **dict.fromkeys(("MSB_INTEGER", "INTEGER", "SUN_INTEGER", "MAC_INTEGER", "IBM_INTEGER"), ">i"),
+    **dict.fromkeys(("LSB_INTEGER", "PC_INTEGER", "VAX_INTEGER"), "<i"),
+    **dict.fromkeys(("IEEE_REAL", "MAC_REAL", "REAL", "SUN_REAL", "FLOAT"), ">f"),
+    "PC_REAL": "<f",
+}  # fmt: skip
+_SIZES = {"u": ("8", "16", "32"), "i": ("8", "16", "32"), "f": ("32", "64")}
+_PLAIN = ("N/A", "NONE", "UNCOMPRESSED", "")
+_CODED = (
+    "the counts are coded by the camera's own table or cut to 8 bits: state the table in the "
+    "[coding] of the camera file, or take another product"
+)
+KEYWORDS = {
+    # 8LSB, too: its counts begin at 0 again above 255
+    "DATA_CONVERSION_TYPE": Keyword("refused", _CODED, ("", "12BIT", "N/A", "UNK")),
+    "DataConversionType": Keyword("refused", _CODED, ("", "12BIT", "N/A", "UNK")),
+    "MESS:COMP12_8": Keyword("refused", _CODED, ("", "0", "N/A", "UNK")),
+    "COMP12_8": Keyword("refused", _CODED, ("", "0", "N/A", "UNK")),
+    "IMAGE.ENCODING_TYPE": Keyword(  # others are the telemetry's, as Galileo's
+        "refused", "the pixels are compressed: unpack the picture", ("", "N/A", "NONE", "UNK")
+    ),
+    "LINE_DISPLAY_DIRECTION": Keyword("used", "which line is uppermost"),
+    "vertical_display_direction": Keyword("used", "which line is uppermost"),
+    **{name: Keyword("used", "no value") for name in MISSING_KEYWORDS},
+    **{name: Keyword("used", "saturated") for name in SATURATED_KEYWORDS},
+    "UNIT": Keyword("harmless", "brightness is compared with itself alone"),
+    "SCALING_FACTOR": Keyword("used", "GDAL hands it on as a scale"),
+    "OFFSET": Keyword("used", "GDAL hands it on as an offset"),
+}
+CODING_KEYWORDS = ("DATA_CONVERSION_TYPE", "DataConversionType", "MESS:COMP12_8", "COMP12_8")
+_BOTTOM_FIRST = ("UP", "BOTTOM TO TOP")  # of PDS3 and PDS4
 VIEWED = (".png", ".jpg", ".jpeg")  # made to be looked at, their first line uppermost
 COPIED = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm")
 # Brightness as I/F is far below 1, where a navigator that thinks in counts sees nothing.
 HIGHEST = 60_000.0
 NO_VALUE = -1e30  # what ISIS and PDS write for pixels without a value is below
+
+
+def read_pds3_pixels(label: ArchiveLabel) -> NDArray[np.generic]:
+    """Read the band (rows, columns) of a label's IMAGE object, as they are stored.
+
+    Raises DataError for a label without one, for coded pixels, and for a file that is cut short.
+    """
+    path = label.path
+    rows, columns = (_count(label, f"IMAGE.{key}", None) for key in ("LINES", "LINE_SAMPLES"))
+    layout = _find_layout(label)
+    coding = label.text("IMAGE.ENCODING_TYPE") if label.is_stated("IMAGE.ENCODING_TYPE") else ""
+    bands = _count(label, "IMAGE.BANDS", 1)
+    if coding.upper() not in _PLAIN or bands != 1:
+        raise DataError(
+            f"{path}: its IMAGE has {bands} bands, ENCODING_TYPE {coding or 'none'}; wanted one "
+            "uncompressed band: name a converted picture with --picture"
+        )
+    before, after = (_count(label, f"IMAGE.LINE_{key}_BYTES", 0) for key in ("PREFIX", "SUFFIX"))
+    file, start = _read_pointer(label)
+    raw = read_input(file, limit=MAX_BYTES)
+    row_bytes = before + columns * layout.itemsize + after
+    if len(raw) < start + rows * row_bytes:
+        raise DataError(f"{file}: is cut short: {columns} x {rows} pixels do not fit")
+    lines = np.frombuffer(raw, np.uint8, rows * row_bytes, start).reshape(rows, row_bytes)
+    used = np.ascontiguousarray(lines[:, before : row_bytes - after])
+    return used.view(layout).astype(layout.newbyteorder("="))
+
+
+def _find_layout(label: ArchiveLabel) -> np.dtype[np.generic]:
+    kind = label.text("IMAGE.SAMPLE_TYPE").upper()
+    bits = label.text("IMAGE.SAMPLE_BITS")
+    form = _KINDS.get(kind, "")
+    if not form or bits not in _SIZES[form[1]]:
+        raise DataError(
+            f"{label.path}: its pixels are {kind} of {bits} bits, which is not known; name a "
+            "converted picture with --picture"
+        )
+    return np.dtype(f"{form}{int(bits) // 8}")
+
+
+def _count(label: ArchiveLabel, key: str, default: int | None) -> int:
+    if default is not None and not label.is_stated(key):
+        return default
+    value = float(label.numbers((key,))[0])
+    if not (0.0 <= value <= MAX_SIDE and value == int(value)) or (default is None and value == 0.0):
+        raise DataError(f"{label.path}: {key} is {value:g}; wanted a count up to {MAX_SIDE}")
+    return int(value)
+
+
+def _read_pointer(label: ArchiveLabel) -> tuple[Path, int]:
+    """The file that ^IMAGE points to and the byte of it where the pixels begin.
+
+    A pointer is a record, counted from 1, or a byte with the unit <BYTES>; in the label's own file
+    or in one that it names.
+    """
+    texts, units = label.texts("^IMAGE"), label.unit("^IMAGE")
+    number = texts[-1] if texts[-1].isdigit() else "1"
+    if len(texts) > 2 or (len(texts) == 2 and not texts[1].isdigit()) or len(number) > 12:
+        raise DataError(f"{label.path}: ^IMAGE is {', '.join(texts)[:60]}, no file and record")
+    file = label.path if texts[0].isdigit() else _find_file(label.path, texts[0])
+    if units[-1].upper() in ("BYTES", "BYTE"):
+        return file, int(number) - 1
+    if units[-1]:
+        raise DataError(f"{label.path}: ^IMAGE has the unit {units[-1]}; wanted records or BYTES")
+    record = 0 if number == "1" else _record_bytes(label)
+    return file, (int(number) - 1) * record
+
+
+def _record_bytes(label: ArchiveLabel) -> int:
+    value = float(label.numbers(("RECORD_BYTES",))[0])
+    if not 1.0 <= value <= MAX_BYTES:
+        raise DataError(f"{label.path}: RECORD_BYTES is {value:g}; wanted a count")
+    return int(value)
+
+
+def _find_file(path: Path, name: str) -> Path:
+    """The file of a name in the folder of a label, in whatever letters it is written."""
+    if Path(name).name != name:
+        raise DataError(f"{path}: ^IMAGE names {name[:60]}; wanted a file beside the label")
+    exact = path.parent / name
+    if exact.exists():
+        return exact
+    others = [file for file in path.parent.iterdir() if file.name.lower() == name.lower()]
+    if not others:
+        raise DataError(
+            f"{path}: ^IMAGE points to {name[:60]}, and there is no such file beside the label; "
+            "name the picture with --picture"
+        )
+    return others[0]
+
+
+def read_specials(path: Path, text: Callable[[str], str], dtype: str) -> SpecialValues | None:
+    """Special values that a label names; None for none.
+
+    text   gives a keyword's value, empty where it is not stated
+    dtype  of the pixels as stored
+    Raises DataError for one that is no number.
+    """
+    specials: dict[bool, list[float]] = {False: [], True: []}
+    for names, saturated in ((MISSING_KEYWORDS, False), (SATURATED_KEYWORDS, True)):
+        for name in names:
+            stated = text(name) or text(f"Special_Constants/{name.lower()}")
+            if not stated:
+                continue
+            value = read_stored_value(stated, dtype)
+            if value is None:
+                raise DataError(
+                    f"{path}: {name} = {stated[:40]}; wanted a number of the type {dtype}: correct "
+                    "the label"
+                )
+            specials[saturated].append(value)
+    if not (specials[False] or specials[True]):
+        return None
+    return SpecialValues(tuple(specials[False]), tuple(specials[True]))
+
+
+def is_bottom_first(text: Callable[[str], str]) -> bool:
+    """Whether a label's first line is the lowest on a screen."""
+    stated = text("LINE_DISPLAY_DIRECTION") or text("vertical_display_direction")
+    return stated.upper() in _BOTTOM_FIRST
+
+
+def collect_keywords(text: Callable[[str], str], *, coded: bool) -> list[tuple[str, str]]:
+    """Collect the stated KEYWORDS of a label, without coding where the camera file has it."""
+    names = [name for name in KEYWORDS if not (coded and name in CODING_KEYWORDS)]
+    return [(name, value) for name in names if (value := text(name))]
 
 
 def read_picture_shape(source: ImportSource, picture: Path) -> tuple[int, int]:

@@ -12,7 +12,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.files import MANIFEST, replace_folder
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from catalog.places import check_apart
 from optnav_cli.calibration.adjusted_folder import (
     MIN_MATCHES,

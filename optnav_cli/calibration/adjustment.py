@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray, IntArray
 from catalog.errors import NoSolutionError
-from catalog.geometry.rotations import ARCSEC, cross_matrix
+from catalog.geometry.vectors import ARCSEC, cross_matrix
 from optnav_cli.calibration.model import (
     FrameMotion,
     compute_weight_slope,

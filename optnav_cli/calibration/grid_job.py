@@ -21,7 +21,7 @@ from optnav_cli.calibration.grid_calibration import (
     calibrate_by_grids,
 )
 from optnav_cli.calibration.job import CALIBRATION_JSON, KIND, RESIDUALS_CSV, STAGE
-from optnav_cli.calibration.separability import find_inseparable, find_tied_pairs
+from optnav_cli.calibration.model import find_inseparable, find_tied_pairs
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.estimation.models.common import Common

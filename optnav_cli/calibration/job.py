@@ -17,14 +17,18 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.errors import DataError, NothingToDoError
 from catalog.files import hash_file, replace_folder
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from catalog.places import check_apart
 from catalog.progress import Progress, log_stage
 from optnav_cli.calibration.adjust_job import collect_rows, compute_stated_residuals
 from optnav_cli.calibration.adjusted_folder import AdjustedRow, StatedResiduals, correct_camera
 from optnav_cli.calibration.adjustment import AdjustedFrame, Adjustment, adjust
-from optnav_cli.calibration.motion import estimate_frame_motions
-from optnav_cli.calibration.separability import Direction, find_inseparable, find_tied_pairs
+from optnav_cli.calibration.model import (
+    Direction,
+    estimate_frame_motions,
+    find_inseparable,
+    find_tied_pairs,
+)
 from optnav_cli.calibration.settings import CalibrateSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import write_camera

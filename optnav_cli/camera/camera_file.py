@@ -10,8 +10,7 @@ import msgspec
 from catalog.config import load_toml, nearest_name, resource
 from catalog.errors import ConfigError
 from catalog.inputs import check_input
-from optnav_cli.camera.camera import Camera, Distortion, LineOrder, Model
-from optnav_cli.camera.coding import Coding
+from optnav_cli.camera.camera import Camera, Coding, Distortion, LineOrder, Model
 
 # Focal length, pitch and their ratio are each printed with about four digits.
 AGREEMENT = 1e-3

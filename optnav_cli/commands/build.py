@@ -9,6 +9,7 @@ import click
 from catalog.errors import UsageError
 from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
 from optnav_cli.options import (
+    PATH,
     OptnavCommand,
     bbox_option,
     output_option,
@@ -17,7 +18,6 @@ from optnav_cli.options import (
     work_option,
     workers_option,
 )
-from optnav_cli.parameters import PATH
 
 if TYPE_CHECKING:
     from catalog.pipeline.build import BuildReport

@@ -8,8 +8,7 @@ from typing import Any
 import click
 
 from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
-from optnav_cli.options import OptnavCommand, output_option, workers_option
-from optnav_cli.parameters import PATH, Number
+from optnav_cli.options import PATH, Number, OptnavCommand, output_option, workers_option
 
 SOLVED = ("focal", "centre", "distortion", "mounting", "clock")
 OF_A_LENS = SOLVED[:3]

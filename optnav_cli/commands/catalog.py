@@ -10,6 +10,7 @@ from catalog.errors import DataError
 from catalog.progress import Progress
 from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation
 from optnav_cli.options import (
+    POINT_ID,
     LazyGroup,
     NumberArguments,
     json_option,
@@ -18,7 +19,6 @@ from optnav_cli.options import (
     output_option,
     path_argument,
 )
-from optnav_cli.parameters import POINT_ID
 
 if TYPE_CHECKING:
     from catalog.store.verify import Verification

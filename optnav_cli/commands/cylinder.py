@@ -6,8 +6,7 @@ from typing import Literal, cast
 import click
 
 from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
-from optnav_cli.options import OptnavCommand, output_option, path_argument
-from optnav_cli.parameters import RenamedChoice
+from optnav_cli.options import OptnavCommand, RenamedChoice, output_option, path_argument
 
 
 @click.command("cylinder", cls=OptnavCommand)

@@ -14,8 +14,7 @@ from optnav_cli.console import (
     pass_progress,
     report_compilation,
 )
-from optnav_cli.options import OptnavCommand, workers_option
-from optnav_cli.parameters import OutputOption
+from optnav_cli.options import OptnavCommand, OutputOption, workers_option
 
 KIND = "demo"
 # As wide as the demo's own, with a quarter of its pixels: a quarter of the time, the same kernels.

@@ -6,8 +6,14 @@ from typing import Any
 import click
 
 from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
-from optnav_cli.options import OptnavCommand, json_option, output_option, path_argument
-from optnav_cli.parameters import PATH, Number
+from optnav_cli.options import (
+    PATH,
+    Number,
+    OptnavCommand,
+    json_option,
+    output_option,
+    path_argument,
+)
 
 METRES = Number(0.1, 1e5)
 nodata_option = click.option(

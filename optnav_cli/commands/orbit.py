@@ -5,8 +5,7 @@ from pathlib import Path
 import click
 
 from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
-from optnav_cli.options import LazyGroup, output_option, path_argument
-from optnav_cli.parameters import PATH, Number
+from optnav_cli.options import PATH, LazyGroup, Number, output_option, path_argument
 
 SOLVED = ("clock", "focal", "map_offset", "acceleration", "srp", "vertical")
 CRAFT = click.option(

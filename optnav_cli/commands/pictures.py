@@ -7,7 +7,11 @@ import click
 
 from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
 from optnav_cli.options import (
+    PATH,
+    Number,
     OptnavCommand,
+    OutputOption,
+    SolvedLimit,
     json_option,
     matcher_option,
     output_option,
@@ -16,7 +20,6 @@ from optnav_cli.options import (
     threads_option,
     workers_option,
 )
-from optnav_cli.parameters import PATH, Number, OutputOption, SolvedLimit
 
 LIMIT = Number(0.0, 1e9, min_open=True)
 SOLVABLE = ("body_rotation", "origin", "scale", "boresight", "focal")

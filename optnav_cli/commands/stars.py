@@ -5,8 +5,7 @@ from pathlib import Path
 import click
 
 from optnav_cli.console import ConsoleProgress, pass_progress, report_lines
-from optnav_cli.options import OptnavCommand, output_option, path_argument
-from optnav_cli.parameters import PATH, Number
+from optnav_cli.options import PATH, Number, OptnavCommand, output_option, path_argument
 
 
 @click.command("stars", cls=OptnavCommand)

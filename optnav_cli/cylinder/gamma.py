@@ -12,7 +12,7 @@ from scipy.special import ndtr, ndtri
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
-from optnav_cli.camera.coding import Coding
+from optnav_cli.camera.camera import Coding
 from optnav_cli.cylinder.fit import (
     DISTANCE,
     THETA,

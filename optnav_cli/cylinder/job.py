@@ -10,8 +10,9 @@ from typing import Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from catalog.arrays import BoolArray, Float32Array
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.files import replace_folder
 from catalog.places import check_apart
@@ -27,22 +28,33 @@ from optnav_cli.cylinder.gamma import fit_coded_cylinder
 from optnav_cli.cylinder.geometry import (
     CRESCENT_DEG,
     CylinderSize,
+    compute_bearing,
     compute_half_width,
+    compute_surface_distance,
     find_lit_edges,
     solve_printed_formulas,
 )
-from optnav_cli.cylinder.overlay import draw_cylinder_overlay
 from optnav_cli.cylinder.page import CYLINDER_CSV, CYLINDER_KIND, draw_cylinder_sheet
 from optnav_cli.cylinder.profile import CylinderProfile, measure_printed_extent, measure_profile
 from optnav_cli.cylinder.velocity import compute_velocity, place_series
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import load_frame_picture
 from optnav_cli.frames.tables import CYLINDER
+from optnav_cli.output.canvas import (
+    Canvas,
+    compute_shrink_factor,
+    encode_picture,
+    resize_picture,
+    scale_to_eight_bits,
+    shade_picture,
+)
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.wording import align_table
 from optnav_cli.reasons import ReasonCode
 
+OUTLINE, TERMINATOR, LIMB = (255, 190, 60), (90, 240, 110), (60, 220, 255)
+POINTS, MAX_PX = 64, 1200
 STAGE = "cylinder"
 Formula = Literal["fit", "printed"]
 CRESCENT_PX, CRESCENT_SIGMA_DEG = 5.0, 3.0
@@ -52,6 +64,47 @@ GLARE_SHARE = 0.002  # of the pixels at full scale
 MAX_STEP_S = 60.0  # between pictures that a velocity is taken from
 
 _log = logging.getLogger(__name__)
+
+
+def draw_cylinder_overlay(
+    picture: NDArray[np.generic],
+    fit: CylinderFit | None,
+    lens: IdealLens,
+    size: CylinderSize,
+    words: str,
+) -> bytes:
+    """Draw a PNG: the ends of the strip, its limbs, the terminator, and words below.
+
+    picture  (rows, columns), with the lens' distortion taken out
+    """
+    factor = compute_shrink_factor(picture.shape[1], picture.shape[0], MAX_PX)
+    canvas = Canvas(shade_picture(resize_picture(scale_to_eight_bits(picture), factor)), factor)
+    if fit is not None:
+        radius, distance = size.radius_m, fit.distance_m
+        widest = 0.5 * math.pi - compute_half_width(radius, distance)
+        psi = np.linspace(-widest, widest, POINTS)
+        for end in (-0.5, 0.5):
+            canvas.line(_project_line(psi, np.full(POINTS, end), fit, lens, size), OUTLINE, 1)
+        ends = np.array([-0.5, 0.5])
+        for side in (-widest, widest):
+            canvas.line(_project_line(np.full(2, side), ends, fit, lens, size), LIMB, 1)
+        edge = (abs(fit.theta) - 0.5 * math.pi) * math.copysign(1.0, fit.theta)
+        if abs(edge) < widest:
+            canvas.line(_project_line(np.full(2, edge), ends, fit, lens, size), TERMINATOR, 2)
+    canvas.text("blue: strip, yellow: limbs, green: terminator", 8.0, 18.0, (230, 230, 230))
+    canvas.text(words, 8.0, canvas.image.shape[0] - 8.0, (230, 230, 230))
+    return encode_picture(canvas.image, ".png")
+
+
+def _project_line(
+    psi: FloatArray, heights: FloatArray, fit: CylinderFit, lens: IdealLens, size: CylinderSize
+) -> FloatArray:
+    """Project points at angles psi and shares of the strip's height, downwards: (n, 2)."""
+    bearing = fit.bearing + compute_bearing(psi, size.radius_m, fit.distance_m)
+    depth = compute_surface_distance(psi, size.radius_m, fit.distance_m) * np.cos(bearing)
+    x = lens.centre_x_px + lens.focal_x_px * np.tan(bearing)
+    y = fit.middle_row_px + lens.focal_y_px * size.height_m * heights / depth
+    return np.stack([x, y], axis=1)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import Body, GravityField, load_body
 from catalog.bodies.ephemeris import SUN_GM_M3_S2, Ephemeris, Neighbour
 from catalog.errors import NoSolutionError
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from optnav_cli.dynamics.gravity_field import named_field, oblate_field
 from optnav_cli.dynamics.gravity_kernel import GRADIENT_DEGREE, harmonic_tables
 from optnav_cli.dynamics.orbit_integrator import (

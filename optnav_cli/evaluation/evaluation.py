@@ -11,13 +11,14 @@ from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.evaluation.figures import (
     Figures,
+    Forward,
     FrameError,
     MethodFigures,
     compute_figures,
     compute_method_figures,
+    find_motion_axes,
     make_unsolved_figures,
 )
-from optnav_cli.evaluation.motion import Forward, find_motion_axes
 from optnav_cli.fix import MatchKind, MatchRow, Solution
 from optnav_cli.frames.truth import Truth
 

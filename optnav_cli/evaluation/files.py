@@ -13,7 +13,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.files import make_prefix_test, replace_file
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from catalog.progress import log_stage
 from catalog.tables import CsvRow
 from optnav_cli.evaluation.evaluation import WRONG_PX, Evaluation, evaluate
@@ -23,9 +23,11 @@ from optnav_cli.evaluation.figures import (
     FrameError,
     MethodFigures,
     Spread,
+    TimedPlace,
     describe_method,
+    find_motion_axes,
+    identify_other_frame,
 )
-from optnav_cli.evaluation.motion import TimedPlace, find_motion_axes, identify_other_frame
 from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.output.run_folder import RunFolder, read_run

@@ -1,4 +1,4 @@
-"""Pixels of picture files that GDAL reads, brought to one band.
+"""Pixels of picture files that GDAL reads, brought to one band, and the count at full scale.
 
 GDAL reads all of them, because it fails where a file breaks off, while some other readers fill the
 rest with zeros. GDAL's mask decides which pixels have a value: alpha, mask band, no-data value, or
@@ -6,17 +6,16 @@ a mask of the dataset in a file beside it.
 """
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, MaskFlags
 
-from catalog.arrays import BoolArray
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.errors import DataError
 from catalog.rasters import OWN, handle_read_errors, open_raster
 from catalog.special_values import ISIS, SpecialValues
-from optnav_cli.frames.stored_pixels import StoredPixels
 
 Channel = Literal["red", "green", "blue", "luminance"]
 # Luminance of ITU-R BT.601, as OpenCV and others make a picture gray.
@@ -24,6 +23,32 @@ LUMINANCE = (0.299, 0.587, 0.114)
 FULL_SCALE = "SATURATION_COUNTS"  # tag of the pictures that `import` writes
 _ISIS_DRIVERS = ("ISIS3", "ISIS2")
 _RGB = ColorInterp.red, ColorInterp.green, ColorInterp.blue
+MIN_FULL_PX = 5  # pixels that share the highest count: fewer do so by chance
+LEVELS_BELOW = 8  # counts below the full one that together hold fewer pixels where it is clipped
+MAX_BELOW_SHARE = 0.5  # of the clipped pixels, in those counts
+# Lossy compression spreads clipped pixels over so many counts, each with this share of the highest.
+SPREAD_LEVELS, MIN_SPREAD_SHARE = 3, 0.2
+# Pixels above the clipped count, per pixel at it: hot pixels, and marks that were drawn later.
+MAX_ABOVE_SHARE = 1e-3
+
+
+class StoredPixels(NamedTuple):
+    """One band of a picture, its first row being the picture's uppermost.
+
+    values   (h, w), scaled as the file states
+    kind     name of the stored type, as numpy has it
+    missing  (h, w) marks those without a value; None for none
+    full     full scale as the file states it; None where it does not
+    remarks  what people must know, a line each
+    imported whether `import` wrote the file: its full scale is that of the camera file already
+    """
+
+    values: NDArray[np.generic]
+    kind: str
+    missing: BoolArray | None
+    full: float | None = None
+    remarks: tuple[str, ...] = ()
+    imported: bool = False
 
 
 def read_raster(
@@ -176,3 +201,52 @@ def apply_special(
         return stored, missing | full, None
     highest = valid.max()
     return np.where(full, highest, stored), missing, float(highest)
+
+
+def find_full_scale(values: NDArray[np.generic]) -> float | None:
+    """Find the count that clipped pixels share; None where the highest counts thin out smoothly.
+
+    values  of pixels that have one, of any shape and real type
+    """
+    levels, many = _count_upper_levels(values)
+    if len(levels) < 2:
+        return None
+    above = np.cumsum(many[::-1])[::-1] - many
+    highest = np.flatnonzero((many >= MIN_FULL_PX) & (above <= MAX_ABOVE_SHARE * many))
+    if not highest.size:
+        return None
+    top = int(highest[-1])
+    quantum = _find_quantum(levels)
+    low = top
+    while (
+        low > 0
+        and top - low < SPREAD_LEVELS
+        and many[low - 1] >= MIN_SPREAD_SHARE * many[top]
+        and levels[low] - levels[low - 1] < 1.5 * quantum
+    ):
+        low -= 1
+    near = (levels < levels[low]) & (levels > levels[low] - (LEVELS_BELOW + 0.5) * quantum)
+    clipped = int(many[low : top + 1].sum())
+    return None if many[near].sum() > MAX_BELOW_SHARE * clipped else float(levels[low])
+
+
+def _count_upper_levels(values: NDArray[np.generic]) -> tuple[FloatArray, IntArray]:
+    """Different values in rising order and how many pixels have each; of the upper half alone."""
+    flat = values.ravel()
+    if values.dtype.kind == "u" and values.dtype.itemsize <= 2:
+        many = np.bincount(flat)
+        counts = np.flatnonzero(many)
+        counts = counts[counts > 0.5 * (counts[0] + counts[-1])]
+        return counts.astype(np.float64), many[counts].astype(np.int64)
+    numbers = flat.astype(np.float64)
+    middle = 0.5 * (float(numbers.min()) + float(numbers.max()))
+    levels, many = np.unique(numbers[numbers > middle], return_counts=True)
+    return levels, many.astype(np.int64)
+
+
+def _find_quantum(levels: FloatArray) -> float:
+    """The step that values are whole multiples of, as 257 of 8 bits that were spread over 16."""
+    steps = np.diff(levels)
+    if (steps == np.rint(steps)).all() and steps.max() < 2**53:
+        return float(np.gcd.reduce(steps.astype(np.int64)))
+    return float(steps.min())

@@ -48,8 +48,8 @@ from catalog.store.geopackage import (
 )
 from catalog.store.records import replace_unknown
 from optnav_cli.camera.camera import Camera
+from optnav_cli.evaluation.figures import TimedPlace, is_same_pass
 from optnav_cli.evaluation.files import read_time
-from optnav_cli.evaluation.motion import TimedPlace, is_same_pass
 from optnav_cli.fix import Solution
 from optnav_cli.output.run_folder import RunFolder
 

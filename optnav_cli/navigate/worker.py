@@ -110,7 +110,7 @@ class RunInputs:
 class FrameWorker:
     """A worker that processes frames; sent to other processes as paths, it opens them there."""
 
-    packages: ClassVar = ("optnav_cli",)  # see `catalog.jobs.cluster_node`
+    packages: ClassVar = ("optnav_cli",)  # see `catalog.jobs.cluster`
 
     def __init__(self, given: RunInputs) -> None:
         self.given = given

@@ -27,8 +27,7 @@ from optnav_cli.frames.segmentation import Segmented
 from optnav_cli.outline.disc import brightness_centre
 from optnav_cli.outline.disc.brightness_centre import make_disc_fix
 from optnav_cli.outline.disc.fit import ABOUT_PX, fit_disc, rad_per_px
-from optnav_cli.outline.disc.moments import MAX_SMALL_DISC_PX, is_round
-from optnav_cli.outline.disc.size import load_disc_sizes
+from optnav_cli.outline.disc.moments import MAX_SMALL_DISC_PX, is_round, load_disc_sizes
 from optnav_cli.outline.limb import method as horizon
 from optnav_cli.outline.limb.detection import LimbPoints, find_limb
 from optnav_cli.outline.limb.shape_skyline import estimate_relief_fraction, is_shape

@@ -38,8 +38,7 @@ from optnav_cli.points.constructions import (
     locate_by_tori,
     propagate_covariance,
 )
-from optnav_cli.points.horizon import is_hidden
-from optnav_cli.points.model import AttitudePrior, LensPrior, PickedSightings
+from optnav_cli.points.model import AttitudePrior, LensPrior, PickedSightings, is_hidden
 from optnav_cli.points.resection import (
     PickedPose,
     PickedResection,

@@ -29,12 +29,12 @@ from optnav_cli.points.model import (
     LensPoints,
     LensPose,
     LensPrior,
+    PickedLikelihood,
     PickedSightings,
     StatedAttitude,
     make_lens_estimate,
     move_with_lens,
 )
-from optnav_cli.points.posterior import PickedLikelihood
 from optnav_cli.reasons import Reason, ReasonCode
 
 # A point is left out, and a whole fit refused, when chance makes as much so rarely.

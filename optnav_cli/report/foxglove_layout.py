@@ -18,9 +18,9 @@ from mcap.reader import SeekingReader
 
 from catalog.errors import DataError, UsageError
 from catalog.files import make_prefix_test, replace_file
+from optnav_cli.output.foxglove import CAMERA_COLOURS
 from optnav_cli.output.recording import format_topic
 from optnav_cli.output.run_folder import RECORDING, RunFolder, read_run
-from optnav_cli.output.scene import CAMERA_COLOURS
 
 Panel = dict[str, Any]
 BEGINNING = b'{\n  "configById"'

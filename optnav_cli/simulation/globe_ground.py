@@ -24,8 +24,8 @@ from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.synthetic.model_error import SlopeMap
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.albedo import Albedo
-from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays, every_px
 from optnav_cli.simulation.globe_heights import GlobeHeights, Relief, ReliefSum, read_globe
+from optnav_cli.simulation.scenario_base import CAMERAS, Exposure, corner_rays, every_px
 from optnav_cli.simulation.sections import DetailSettings, TruthSettings, error_above, relief_below
 
 Box = tuple[float, float, float, float]  # west, south, east, north, rad

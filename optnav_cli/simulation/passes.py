@@ -14,8 +14,7 @@ from catalog.bodies.epochs import compute_tdb_s_after
 from catalog.config import Count, Seconds, Turn
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
-from optnav_cli.simulation.exposure import PLACE, Epoch
-from optnav_cli.simulation.scenario_base import ScenarioBase, ShapeScenario
+from optnav_cli.simulation.scenario_base import PLACE, Epoch, ScenarioBase, ShapeScenario
 from optnav_cli.simulation.sections import Distance, Elevation, Latitude, Phase, SunLatitude
 
 GOLDEN = 0.6180339887498949  # steps by it spread any run of passes over a whole range

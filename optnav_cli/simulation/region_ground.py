@@ -33,8 +33,13 @@ from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation import globe_heights
 from optnav_cli.simulation.albedo import Albedo
-from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays, every_px
-from optnav_cli.simulation.scenario_base import ScenarioBase
+from optnav_cli.simulation.scenario_base import (
+    CAMERAS,
+    Exposure,
+    ScenarioBase,
+    corner_rays,
+    every_px,
+)
 from optnav_cli.simulation.sections import TruthSettings, error_above, relief_below
 
 Box = tuple[float, float, float, float]  # west, south, east, north, rad

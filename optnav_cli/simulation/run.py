@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import Ephemeris
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from catalog.rasters import TERRAIN, handle_read_errors, open_raster
 from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.dem.source import DemSettings
@@ -23,18 +23,15 @@ from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import Attitude, FileAttitude, RunSettings
 from optnav_cli.frames.truth import Truth, write_truth
-from optnav_cli.simulation.descent import Descent
-from optnav_cli.simulation.descent_model import write_model
-from optnav_cli.simulation.exposure import Exposure, TruthGround
+from optnav_cli.simulation.descent import Descent, write_model
 from optnav_cli.simulation.globe_ground import GlobeGround
-from optnav_cli.simulation.mesh_ground import MeshGround
 from optnav_cli.simulation.region_ground import RegionGround, truth_terrain
 from optnav_cli.simulation.scenario import scenario_cameras, scenario_copy, scenario_motion
-from optnav_cli.simulation.scenario_base import FileNames, ScenarioBase
+from optnav_cli.simulation.scenario_base import Exposure, FileNames, ScenarioBase, TruthGround
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import Counts, expose
 from optnav_cli.simulation.stereo_path import StereoScenario, StereoTerrain
-from optnav_cli.simulation.surroundings import Surroundings
+from optnav_cli.simulation.surroundings import MeshGround, Surroundings
 
 SENSOR, CALIBRATION = 17, 31  # streams of random numbers, apart from those of the trajectory
 
@@ -42,7 +39,7 @@ SENSOR, CALIBRATION = 17, 31  # streams of random numbers, apart from those of t
 class Simulation:
     """The pictures of a scenario; other processes are sent the scenario alone and begin anew."""
 
-    packages: ClassVar = ("optnav_cli",)  # see `catalog.jobs.cluster_node`
+    packages: ClassVar = ("optnav_cli",)  # see `catalog.jobs.cluster`
 
     def __init__(self, scenario: ScenarioBase) -> None:
         self.scenario = scenario

@@ -15,10 +15,9 @@ from catalog.errors import ConfigError, DataError
 from catalog.terrain.dem.file import SHARED, resolve_path
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
-from optnav_cli.simulation.approach import Approach
 from optnav_cli.simulation.cylinder_scenario import CylinderScenario
 from optnav_cli.simulation.descent import Descent
-from optnav_cli.simulation.inertial_path import InertialPath
+from optnav_cli.simulation.inertial_path import Approach, InertialPath
 from optnav_cli.simulation.passes import Portraits, Scenario
 from optnav_cli.simulation.scenario_base import FileNames, ScenarioBase
 from optnav_cli.simulation.stereo_path import StereoScenario

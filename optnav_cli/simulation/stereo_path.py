@@ -26,11 +26,10 @@ from catalog.rendering.rays.ground import Ground, make_ground, make_whole_sphere
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.mounts import MountSettings, check_mounts, select_stereo_pair
+from optnav_cli.frames.run_settings import MountSettings, check_mounts, select_stereo_pair
 from optnav_cli.simulation import sections
-from optnav_cli.simulation.exposure import PLACE, Epoch, Exposure, corner_rays
 from optnav_cli.simulation.passes import SunSettings, sun_over
-from optnav_cli.simulation.scenario_base import ScenarioBase
+from optnav_cli.simulation.scenario_base import PLACE, Epoch, Exposure, ScenarioBase, corner_rays
 from optnav_cli.simulation.sections import Elevation, Latitude
 
 MOUNTING = 41  # a stream of random numbers

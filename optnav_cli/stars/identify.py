@@ -19,8 +19,7 @@ from scipy.special import bdtrc
 from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.stars import BrightStars, list_star_pairs, load_bright_stars
 from catalog.errors import NoSolutionError
-from catalog.geometry.rotations import cross_matrix
-from catalog.geometry.vectors import angle_between
+from catalog.geometry.vectors import angle_between, cross_matrix
 from optnav_cli.camera.camera import Camera
 from optnav_cli.reasons import ReasonCode, describe_length
 from optnav_cli.stars.spots import StarSpots, list_compact_triples, list_triples

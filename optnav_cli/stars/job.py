@@ -12,7 +12,7 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.stars import BrightStars, load_bright_stars, read_star_catalog
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.files import hash_file, replace_folder
-from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation
+from catalog.geometry.vectors import ARCSEC, quaternion_from_rotation
 from catalog.places import check_apart
 from catalog.progress import Progress, log_stage
 from catalog.tables import CsvRow
@@ -27,8 +27,7 @@ from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.run_folder import CAMERAS, FRAMES, OVERLAYS
 from optnav_cli.stars.identify import StarFix, StarIdentifier
-from optnav_cli.stars.overlay import draw_stars
-from optnav_cli.stars.page import ATTITUDES_CSV, STARS_KIND
+from optnav_cli.stars.page import ATTITUDES_CSV, STARS_KIND, draw_stars
 from optnav_cli.stars.sky import SkyView
 from optnav_cli.stars.spots import StarSpots, find_spots
 

@@ -18,9 +18,8 @@ from catalog.places import check_apart
 from catalog.progress import Progress, log_stage
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.mounts import MountSettings, select_stereo_pair
 from optnav_cli.frames.picture import load_frame_picture
-from optnav_cli.frames.run_settings import RUN_TOML
+from optnav_cli.frames.run_settings import RUN_TOML, MountSettings, select_stereo_pair
 from optnav_cli.frames.tables import HEIGHTS
 from optnav_cli.navigate.history import SAME_TIME_S
 from optnav_cli.output.manifest import hash_files, write_manifest

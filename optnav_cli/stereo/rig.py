@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import Float32Array, FloatArray
 from optnav_cli.camera.camera import Camera
-from optnav_cli.frames.mounts import MountSettings
+from optnav_cli.frames.run_settings import MountSettings
 
 OUTSIDE = -1e4  # pixel where a warp has no picture
 

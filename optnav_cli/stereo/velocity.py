@@ -13,13 +13,19 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
-from catalog.geometry.rotations import cross_matrix
+from catalog.geometry.vectors import cross_matrix
 from optnav_cli.estimation.least_squares import inverse_of
 from optnav_cli.estimation.robust import TUKEY, scatter, tukey_weights
 from optnav_cli.reasons import ReasonCode
-from optnav_cli.stereo.height import MIN_LEAD, MIN_PEAK, MIN_WINDOWS, RIVAL_PX, StereoHeight
+from optnav_cli.stereo.height import (
+    MIN_LEAD,
+    MIN_PEAK,
+    MIN_WINDOWS,
+    RIVAL_PX,
+    StereoHeight,
+    measure_shifts,
+)
 from optnav_cli.stereo.rig import Eye, resample
-from optnav_cli.stereo.windows import measure_shifts
 
 TEMPLATE_PX = 256  # of the search
 ROUNDS = ((96, 2.0), (64, 1.0), (64, 0.0))

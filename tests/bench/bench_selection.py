@@ -11,7 +11,7 @@ from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.correlation.surf64 import compute_descriptors, match_surf
 from catalog.geometry.cells import CellGrid
-from catalog.pipeline import check, render, select
+from catalog.pipeline import check, render
 from catalog.pipeline.config import BodySettings, BuildConfig
 from catalog.pipeline.context import StageContext
 from catalog.selection.localisation import compute_hessian_eigenvalue_map
@@ -77,7 +77,7 @@ def test_a_cell_through_render_and_check(tmp_path: Path):
     cells = [int(cell) for cell in context.grid.find_cells_in_bbox(*CELLS_DEG)]
     with one_core():
         rendering = best(lambda: render.render_chunk(context, cells), 1)
-        places = select.select(context, render.render_chunk(context, cells))
+        places = render.select(context, render.render_chunk(context, cells))
         checking = best(lambda: check.check_chunk(context, places), 1)
     result(
         f"a cell of 1 deg at {mosaic.posting_m:.0f} m: render, check",

@@ -18,7 +18,7 @@ from optnav_cli.cylinder.job import remove_distortion
 from optnav_cli.cylinder.profile import measure_profile
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.points.method import PickedFrames
-from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
+from optnav_cli.simulation.cylinder_scenario import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
 from optnav_cli.stars.identify import StarIdentifier

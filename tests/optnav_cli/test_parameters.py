@@ -10,8 +10,7 @@ import click
 import pytest
 
 from optnav_cli.main import cli, run
-from optnav_cli.options import LazyGroup, OptnavCommand
-from optnav_cli.parameters import OutputOption
+from optnav_cli.options import LazyGroup, OptnavCommand, OutputOption
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 HOSTILE = (

@@ -12,8 +12,7 @@ import click
 
 from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation
 from optnav_cli.main import cli, main
-from optnav_cli.options import LazyGroup, OptnavCommand
-from optnav_cli.parameters import OutputOption
+from optnav_cli.options import LazyGroup, OptnavCommand, OutputOption
 from tests.studies.registry import STUDIES
 from tests.studies.study import Study
 

@@ -11,12 +11,12 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.config import resource
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.store.reader import Catalog
 from optnav_cli.calibration.adjustment import Adjustment, adjust
-from optnav_cli.calibration.separability import find_inseparable
+from optnav_cli.calibration.model import find_inseparable
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.evaluation.figures import compute_figures, make_unsolved_figures

@@ -10,10 +10,10 @@ import numpy as np
 
 from catalog.config import resource
 from catalog.errors import NothingToDoError
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from catalog.progress import Progress
 from optnav_cli.calibration.job import Calibration, calibrate_folder
-from optnav_cli.calibration.motion import estimate_frame_motions
+from optnav_cli.calibration.model import estimate_frame_motions
 from optnav_cli.calibration.settings import CalibrateSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera, preset_camera

@@ -10,10 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from optnav_cli.calibration.adjustment import AdjustedFrame
-from optnav_cli.calibration.model import propagate_ground_errors
-from optnav_cli.calibration.motion import estimate_frame_motions
+from optnav_cli.calibration.model import estimate_frame_motions, propagate_ground_errors
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.common import Common, CommonState, common_numbers
 from optnav_cli.estimation.models.points import Pose, Sightings, predict

@@ -19,8 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.errors import DataError
-from catalog.geometry.rotations import ARCSEC
-from catalog.geometry.vectors import unit
+from catalog.geometry.vectors import ARCSEC, unit
 from catalog.progress import Progress
 from optnav_cli.evaluation.figures import FrameError, compute_figures
 from optnav_cli.fix import Fix

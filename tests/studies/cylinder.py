@@ -36,8 +36,7 @@ from optnav_cli.cylinder.job import (
 )
 from optnav_cli.cylinder.profile import measure_profile
 from optnav_cli.frames.tables import CYLINDER_TRUTH
-from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
-from optnav_cli.simulation.cylinder_scenario import CylinderScenario
+from optnav_cli.simulation.cylinder_scenario import CylinderScenario, SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sections import SensorSettings

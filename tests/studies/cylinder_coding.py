@@ -20,7 +20,7 @@ from optnav_cli.cylinder.fit import CylinderFit, IdealLens, fit_cylinder
 from optnav_cli.cylinder.gamma import fit_coded_cylinder
 from optnav_cli.cylinder.geometry import CylinderSize
 from optnav_cli.cylinder.profile import measure_profile
-from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
+from optnav_cli.simulation.cylinder_scenario import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
 from tests.studies.tables import Cell, rms

@@ -28,18 +28,18 @@ from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.frames.observation import make_observation
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.navigate.descent.errors import (
+from optnav_cli.navigate.descent.filter import GATE
+from optnav_cli.navigate.descent.state import (
     FILE,
     SCALES,
     DescentErrorSizes,
     WindowGround,
     WindowSpread,
+    compute_sunward_shift_px,
     load_descent_sizes,
     make_window_ground,
     match_levels,
 )
-from optnav_cli.navigate.descent.filter import GATE
-from optnav_cli.navigate.descent.state import compute_sunward_shift_px
 from optnav_cli.navigate.descent.windows import (
     WindowField,
     WindowKey,

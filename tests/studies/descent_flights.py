@@ -26,7 +26,7 @@ from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.frames.truth import Truth, read_truth
 from optnav_cli.navigate.worker import FrameWorker, RunInputs
 from optnav_cli.reasons import Reason, ReasonCode
-from optnav_cli.simulation import descent_model
+from optnav_cli.simulation import descent
 from optnav_cli.simulation.descent import Descent, track_errors
 from optnav_cli.simulation.scenario import load_scenario
 from tests.studies import flights
@@ -100,7 +100,7 @@ def catalog_of(output: Path, pictures: Path, progress: Progress, *, wrong: int =
     wrong  seed of the errors of a wrong model; 0: the model of the truth
     """
     text = resource(f"configs/catalogs/{CATALOG}.toml").read_text(encoding="utf-8")
-    fine = pictures / descent_model.MODEL
+    fine = pictures / descent.MODEL
     if fine.is_file():
         model = fine.relative_to(output).as_posix()
         text = text.replace("cell_deg = 0.2\n", f"cell_deg = {FINE_CELL_DEG}\n") + FINE_PYRAMID
@@ -119,7 +119,7 @@ def write_wrong_model(path: Path, seed: int) -> Path:
     with open_raster(source, TERRAIN) as dataset, handle_read_errors(source):
         heights = dataset.read(1).astype(np.float32)
         crs, transform = dataset.crs, dataset.transform
-    heights += descent_model.model_error(heights.shape, WRONG_M, np.random.default_rng(seed))
+    heights += descent.model_error(heights.shape, WRONG_M, np.random.default_rng(seed))
     return flights.written_model(path, heights, crs, transform)
 
 

@@ -39,12 +39,12 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.picture import Picture
 from optnav_cli.outline import method as outline
-from optnav_cli.simulation.exposure import Epoch, Exposure, TruthGround
 from optnav_cli.simulation.globe_ground import GlobeGround
-from optnav_cli.simulation.mesh_ground import MeshGround
 from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.simulation.scenario_base import Epoch, Exposure, TruthGround
 from optnav_cli.simulation.sections import DetailSettings, SensorSettings
 from optnav_cli.simulation.sensor import expose
+from optnav_cli.simulation.surroundings import MeshGround
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms, tally
 
 Shape = Literal["moon", "phobos"]

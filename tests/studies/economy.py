@@ -18,10 +18,10 @@ import numpy as np
 
 from catalog.control_point import ControlPoint
 from catalog.geometry.cells import CellGrid
-from catalog.pipeline import check, render, select
+from catalog.pipeline import check, render
+from catalog.pipeline.check import run_trials
 from catalog.pipeline.config import CheckSettings, RenderSettings
 from catalog.pipeline.context import StageContext
-from catalog.pipeline.trials import run_trials
 from catalog.progress import Progress
 from tests.studies.selection import SUNS, Z95, free_grounds, tycho_context
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
@@ -115,7 +115,7 @@ def _built(
     started = time.process_time()
     shortlists = render.render_chunk(own, cells)
     rendered = time.process_time()
-    selected = select.select(own, shortlists)
+    selected = render.select(own, shortlists)
     selected_at = time.process_time()
     records = check.check_chunk(own, selected)
     return records, (rendered - started, time.process_time() - selected_at)

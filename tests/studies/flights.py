@@ -18,7 +18,7 @@ from catalog.arrays import Float32Array
 from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.files import make_prefix_test, write_output
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from catalog.pipeline import build
 from catalog.pipeline.ingest import Bbox
 from catalog.progress import Progress
@@ -29,7 +29,7 @@ from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs
-from optnav_cli.simulation import descent_model
+from optnav_cli.simulation import descent
 from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
 from optnav_cli.simulation.scenario_base import ScenarioBase
@@ -103,7 +103,7 @@ def check_shared_files(scenarios: Iterable[str]) -> None:
 
 def written_model(path: Path, heights: Float32Array, crs: object, transform: object) -> Path:
     """A drawn terrain model as GeoTIFF; left alone when it is there already."""
-    data = descent_model.geotiff(heights, crs, transform)
+    data = descent.geotiff(heights, crs, transform)
     if not (path.is_file() and path.read_bytes() == data):
         write_output(path, data, make_prefix_test(data[:4]))
     return path

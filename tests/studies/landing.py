@@ -12,7 +12,7 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import compute_normals, project_to_surface
 from catalog.geometry.vectors import perpendicular_basis
 from catalog.progress import Progress, SilentProgress
-from optnav_cli.orbit.landing.departure import Site, depart
+from optnav_cli.orbit.landing.descent import Site, depart
 from optnav_cli.orbit.landing.job import LandingResult, fly_trials
 from optnav_cli.orbit.landing.model import OnboardMotion, turning_state
 from optnav_cli.orbit.landing.navigation import MAX_STEPS, RangeNavigator

@@ -35,8 +35,8 @@ from optnav_cli.control_points.search_plan import (
 )
 from optnav_cli.control_points.settings import MatchSettings
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.simulation.exposure import corner_rays
 from optnav_cli.simulation.region_ground import WHOLE, TruthTerrain
+from optnav_cli.simulation.scenario_base import corner_rays
 from optnav_cli.simulation.sections import DetailSettings, SensorSettings, relief_below
 from optnav_cli.simulation.sensor import expose
 

@@ -2,7 +2,7 @@
 
 import click
 
-from optnav_cli.parameters import Number
+from optnav_cli.options import Number
 from tests.studies.study import MANY, Study, option, output, seed, trials
 
 ORBIT_STUDIES = (

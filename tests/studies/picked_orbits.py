@@ -18,19 +18,17 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_from_tdb_s
-from catalog.geometry.rotations import rnb_axes
-from catalog.geometry.vectors import angle_between
+from catalog.geometry.vectors import angle_between, rnb_axes
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.frames.run_settings import RunSettings, write_run_settings
 from optnav_cli.orbit.fit.fit import OrbitFit
 from optnav_cli.orbit.fit.folder import read_orbit
+from optnav_cli.orbit.fit.known_orbit import picture_times
 from optnav_cli.orbit.fit.output import write_orbit_folder
-from optnav_cli.orbit.fit.picture_times import picture_times
 from optnav_cli.orbit.fit.predict import OrbitPath
-from optnav_cli.orbit.fit.problem import OrbitFix, OrbitPrior
+from optnav_cli.orbit.fit.problem import UNOBSERVED, OrbitFix, OrbitPrior
 from optnav_cli.orbit.fit.settings import NoiseSettings, OrbitFitSettings, ParameterSettings
-from optnav_cli.orbit.fit.unobserved import UNOBSERVED
 from tests.studies.orbit_fits import OrbitFigure, solved
 from tests.studies.orbit_flights import LENS, TrueFlight, ephemeris_of, every, fly, sight_of
 

@@ -15,7 +15,7 @@ from catalog.config import resource
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.orbit.qso.motion import MoonMotion
-from optnav_cli.orbit.qso.search import QsoOrbit, QsoSearch, QsoStart, Velocity
+from optnav_cli.orbit.qso.search import QsoOrbit, QsoSearch, QsoStart, Velocity, axes_of, phase_rate
 from optnav_cli.orbit.qso.settings import (
     MoonForces,
     QsoSettings,
@@ -24,7 +24,6 @@ from optnav_cli.orbit.qso.settings import (
     motion_of_moon,
     start_times,
 )
-from optnav_cli.orbit.qso.theory import axes_of, phase_rate
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 
 # Of the source, for greatest distances: width of the ring, km, and angular rates less 1.

@@ -7,7 +7,7 @@ are imported when a study is run, so that listing the studies does not load what
 
 import click
 
-from optnav_cli.parameters import PATH, Number
+from optnav_cli.options import PATH, Number
 from tests.studies.orbit_registry import ORBIT_STUDIES
 from tests.studies.study import MANY, YEAR, Study, option, output, seed, trials
 

@@ -22,11 +22,11 @@ import numpy as np
 from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
-from catalog.pipeline import check, render, select
+from catalog.pipeline import check, render
 from catalog.pipeline.cell_map import CellGround, compute_separation, cut_cell_ground, sample_suns
+from catalog.pipeline.check import run_trials
 from catalog.pipeline.config import BodySettings, BuildConfig, DemSection
 from catalog.pipeline.context import StageContext
-from catalog.pipeline.trials import run_trials
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
 from catalog.selection.spacing import choose_spaced, find_peaks
@@ -93,7 +93,7 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
     """All strategies on all cells that lie on the terrain with their fine patches."""
     grounds = free_grounds(context)
     shortlists = render.render_chunk(context, list(grounds))
-    points = check.check_chunk(context, select.select(context, shortlists))
+    points = check.check_chunk(context, render.select(context, shortlists))
     chosen = {point.id: (point.lat_deg, point.lon_deg) for point in points}
     rounds = -(-trials // (SUNS * len(grounds)))
     outcomes: dict[str, list[Outcome]] = {

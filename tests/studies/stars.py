@@ -14,8 +14,7 @@ from catalog.bodies.ephemeris import compute_velocity_inertial
 from catalog.bodies.stars import apply_aberration, load_bright_stars
 from catalog.config import resource
 from catalog.errors import NoSolutionError
-from catalog.geometry.rotations import ARCSEC
-from catalog.geometry.vectors import unit
+from catalog.geometry.vectors import ARCSEC, unit
 from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera

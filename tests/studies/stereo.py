@@ -18,11 +18,11 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import Float32Array, FloatArray
 from catalog.config import resource
 from catalog.errors import NoSolutionError
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from catalog.progress import Progress
-from optnav_cli.simulation.exposure import Exposure
 from optnav_cli.simulation.run import Simulation, truth_ground
 from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.simulation.scenario_base import Exposure
 from optnav_cli.simulation.sensor import expose
 from optnav_cli.simulation.stereo_path import StereoScenario
 from optnav_cli.stereo.height import AREA_PX, StereoHeight, measure_height

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from optnav_cli.parameters import Number, OutputOption
+from optnav_cli.options import Number, OutputOption
 
 MANY = 10**6  # pictures, trials: more are a slip of the hand
 MAX_SEED = 2**63 - 1

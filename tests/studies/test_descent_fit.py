@@ -6,7 +6,7 @@ import pytest
 from catalog.arrays import FloatArray
 from catalog.config import read_toml_text, resource
 from catalog.geometry.latlon import body_from_local
-from optnav_cli.navigate.descent.errors import FILE, WindowGround, load_descent_sizes
+from optnav_cli.navigate.descent.state import FILE, WindowGround, load_descent_sizes
 from optnav_cli.navigate.descent.windows import STEP, WindowKey, compute_overlap
 from tests.studies import descent_fit
 from tests.studies.descent_fit import FlightErrors

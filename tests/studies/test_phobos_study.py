@@ -11,7 +11,7 @@ from catalog.errors import NothingToDoError
 from catalog.jobs.usage import Account, StageAccount
 from catalog.progress import SilentProgress
 from optnav_cli.evaluation.figures import FrameError
-from optnav_cli.simulation.approach import Approach
+from optnav_cli.simulation.inertial_path import Approach
 from optnav_cli.simulation.passes import Portraits
 from optnav_cli.simulation.scenario import load_scenario
 from tests.optnav_cli.rows import solved, unsolved

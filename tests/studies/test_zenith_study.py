@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from catalog.progress import SilentProgress
-from optnav_cli.stars.zenith_pair import SightPlace, choose_zenith_pair, list_navigation_stars
+from optnav_cli.navigate.zenith_file import SightPlace, choose_zenith_pair, list_navigation_stars
 from tests.studies import zenith
 from tests.studies.zenith_flights import (
     SightErrors,

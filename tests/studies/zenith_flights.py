@@ -12,15 +12,15 @@ import numpy as np
 from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.stars import load_bright_stars
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings, SunlightSettings
+from optnav_cli.navigate.zenith_file import SightPlace, choose_zenith_pair, list_navigation_stars
 from optnav_cli.orbit.fit.motion import ArcMotion, rnb_of
 from optnav_cli.orbit.fit.problem import Trajectory
 from optnav_cli.orbit.fit.settings import NoiseSettings, ParameterSettings
 from optnav_cli.orbit.fit.zenith import ZenithSights, zenith_distances
 from optnav_cli.orbit.fit.zenith_fit import ZenithFit, settled, zenith_problem
-from optnav_cli.stars.zenith_pair import SightPlace, choose_zenith_pair, list_navigation_stars
 from tests.studies.orbit_flights import ephemeris_of, fly
 
 START_UTC = "2017-07-25T09:10:45Z"

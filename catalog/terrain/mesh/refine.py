@@ -22,9 +22,8 @@ from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.vectors import unit
-from catalog.terrain.mesh.shape import Shape
-from catalog.terrain.mesh.table import RadiiGrid, is_grid, make_surface, read_grid
-from catalog.terrain.mesh.winding import find_edges
+from catalog.terrain.mesh.file import RadiiGrid, is_grid, make_surface, read_grid
+from catalog.terrain.mesh.shape import Shape, find_edges
 from catalog.terrain.synthetic.relief import SyntheticRelief
 
 # Rows that a spline is carried on over a pole: what lies beyond changes it by less than 1e-3.

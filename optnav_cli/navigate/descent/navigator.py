@@ -24,7 +24,6 @@ from optnav_cli.frames.observation import make_observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.navigate.answers import Answers, FrameMethods, NavigationInputs
-from optnav_cli.navigate.descent.errors import SCALES, WindowError, WindowSpread, make_window_ground
 from optnav_cli.navigate.descent.filter import GATE
 from optnav_cli.navigate.descent.relative_landmarks import (
     Landmark,
@@ -33,7 +32,14 @@ from optnav_cli.navigate.descent.relative_landmarks import (
     make_match_rows,
     make_sightings,
 )
-from optnav_cli.navigate.descent.state import JointState, convert_track_errors
+from optnav_cli.navigate.descent.state import (
+    SCALES,
+    JointState,
+    WindowError,
+    WindowSpread,
+    convert_track_errors,
+    make_window_ground,
+)
 from optnav_cli.navigate.descent.windows import (
     MAX_SEARCH_NODES,
     OVERSAMPLED,

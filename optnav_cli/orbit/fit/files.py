@@ -4,12 +4,12 @@ import logging
 from pathlib import Path
 
 import numpy as np
+from catalog.geometry.rotations import rnb_axes
 
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError, NothingToDoError, UsageError
 from catalog.files import make_prefix_test, replace_file, write_output
 from catalog.geometry.ellipsoid import geodetic_from_xyz
-from catalog.geometry.rotations import rnb_axes
 from catalog.progress import Progress
 from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
 from optnav_cli.frames.orbit_tables import PICTURE_TIMES
@@ -22,9 +22,8 @@ from optnav_cli.orbit.fit.folder import (
     write_orbit_rows,
 )
 from optnav_cli.orbit.fit.job import read_fixes
-from optnav_cli.orbit.fit.known_orbit import known_orbit
+from optnav_cli.orbit.fit.known_orbit import PictureTime, known_orbit, picture_times
 from optnav_cli.orbit.fit.oem import BEGINNING, Oem, write_oem
-from optnav_cli.orbit.fit.picture_times import PictureTime, picture_times
 from optnav_cli.orbit.fit.predict import OrbitPath, Prediction
 from optnav_cli.orbit.fit.spk import SPK_BEGINNING, write_spk
 from optnav_cli.output.run_folder import read_run

@@ -18,8 +18,8 @@ from catalog.bodies.epochs import DAY_S, utc_from_tdb_s
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.smoother import LinearArc, SmoothedArc, nuisance, smooth
 from optnav_cli.orbit.fit.first import first_orbit
-from optnav_cli.orbit.fit.missing_forces import check_pattern, mending
-from optnav_cli.orbit.fit.problem import OrbitProblem, Trajectory
+from optnav_cli.orbit.fit.missing_forces import MEDIAN_OF_3, FitVerdict, check_pattern, mending
+from optnav_cli.orbit.fit.problem import OrbitProblem, Trajectory, unobserved_remarks
 from optnav_cli.orbit.fit.settings import NoiseModel
 from optnav_cli.orbit.fit.time_errors import (
     are_whole_seconds,
@@ -27,8 +27,6 @@ from optnav_cli.orbit.fit.time_errors import (
     with_time_errors,
     with_whole_seconds,
 )
-from optnav_cli.orbit.fit.unobserved import unobserved_remarks
-from optnav_cli.orbit.fit.verdict import MEDIAN_OF_3, FitVerdict
 
 MAX_STEPS, MAX_ROUNDS = 30, 40
 SETTLED, NEAR = 1e-3, 3.0  # sigmas: of a fit, and of a start

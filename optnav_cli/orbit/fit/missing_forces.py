@@ -13,17 +13,19 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, fdtrc
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.errors import ConfigError, DataError, NoSolutionError
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.left_out import forces_left_out
-from optnav_cli.estimation.residual_pattern import pattern_inflation, pattern_probability
 from optnav_cli.estimation.smoother import smooth
 from optnav_cli.orbit.fit.problem import OrbitProblem, Trajectory
 from optnav_cli.orbit.fit.settings import ParameterSettings
 
+PARTS_OF_REVOLUTION = 8  # a force left out acts with the revolution, or half of it
+MIN_IN_PART = 4.0  # residuals, in the mean: else parts are longer
+MIN_PARTS = 4
 # False alarms: a right fit is refused with this probability at most.
 PATTERN_PROBABILITY = 1e-6
 # Below it the covariance is inflated: of 200 right fits, 0.02 are by chance.
@@ -32,6 +34,77 @@ MENDING_PROBABILITY = 1e-6  # of as large a fall of chi-square by chance
 STEPS = 3  # of Gauss and Newton with a force more, from a fit that is near
 SUNLIGHT_SIGMA = 10.0  # m^2/kg: an open prior; sails have 0.2
 ACCELERATION_SIGMA = 1e-3  # m/s^2
+MEDIAN_OF_1, MEDIAN_OF_3 = 0.455, 2.366  # of a chi-square of one number, of three
+REFUTED_PROBABILITY = 1e-6
+MAX_LEFT_OUT = 1.0 / 3.0
+MAX_SCATTER = 3.0  # times the stated sigmas, of the middle measurement
+# Of the residuals to their sigmas; beyond it they refute the fit, below it is a remark: what stands
+# for the field that is left out is right to some tens of percent.
+MAX_RATIO = 1.5
+
+
+def pattern_probability(
+    values: FloatArray, series: IntArray, times: FloatArray, revolution_s: float
+) -> float:
+    """Compute the probability that chance makes residuals so alike in parts of an arc.
+
+    values        (n,) residuals over their sigmas, as far as they err for themselves
+    series        (n,) number of the series;  times (n,) s
+    revolution_s  how long the motion takes for a revolution
+
+    Returns 1 where there are too few to say.
+    """
+    parts = next(_parts(series, times, revolution_s), None)
+    if parts is None:
+        return 1.0
+    group, count = parts
+    means = np.bincount(group, values) / count
+    between = float((count * means**2).sum())
+    within = float(((values - means[group]) ** 2).sum())
+    freedom = len(values) - len(count)
+    if freedom < 1:
+        return 1.0
+    return float(fdtrc(len(count), freedom, between / len(count) / max(within / freedom, 1.0)))
+
+
+def pattern_inflation(
+    values: FloatArray, series: IntArray, times: FloatArray, revolution_s: float
+) -> float:
+    """Compute how much larger a covariance is by errors that go together as the residuals do.
+
+    Means of n independent errors of one sigma have a variance of 1/n; the factor is the mean square
+    of such means times n, in the series and the length of parts where it is largest: what an orbit
+    is wrong by varies slowly, as they do. Arguments as of `pattern_probability`.
+
+    Returns the factor of the covariance, at least 1.
+    """
+    factor = 1.0
+    for group, count in _parts(series, times, revolution_s):
+        means = np.bincount(group, values) / count
+        of = np.zeros(len(count), np.int64)
+        of[group] = series
+        squares = np.bincount(of, count * means**2) / np.maximum(np.bincount(of), 1)
+        factor = max(factor, float(squares.max()))
+    return factor
+
+
+def _parts(
+    series: IntArray, times: FloatArray, revolution_s: float
+) -> Iterator[tuple[IntArray, IntArray]]:
+    """Number (n,) of the part and series of each residual, and their counts; longer parts next."""
+    if not len(times):
+        return
+    since, width = times - times.min(), revolution_s / PARTS_OF_REVOLUTION
+    while True:
+        part = np.floor(since / width).astype(np.int64)
+        if part.max() < MIN_PARTS - 1:
+            return
+        _, group = np.unique(np.stack([series, part], axis=1), axis=0, return_inverse=True)
+        group = group.ravel()
+        count = np.bincount(group)
+        if len(times) >= MIN_IN_PART * len(count):
+            yield group, count
+        width *= 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,3 +265,55 @@ def _solve(problem: OrbitProblem, at: Trajectory, used: BoolArray, steps: int) -
         at = Trajectory(at.states + deltas[:, :6], at.parameters + deltas[-1, 6:])
     revolution_s = float(2.0 * np.pi * problem.motion.radian_s(at.states[0, :3]))
     return _Solved(at, chi_square, (*problem.standardised(at, smoothed, used), revolution_s))
+
+
+@dataclass(frozen=True, eq=False)
+class FitVerdict:
+    """The residuals of an orbit's fit.
+
+    what         the measurements, in words
+    chi_squares  (n,) of each against all others;  median  of such a one by chance
+    used         (n,) which of them the fit has
+    chi_square, freedom  of the whole fit
+    """
+
+    what: str
+    chi_squares: FloatArray
+    median: float
+    used: BoolArray
+    chi_square: float
+    freedom: int
+
+    def remarks(self, advice: str, sized: str) -> list[str]:
+        """Write the remarks about a fit that stands.
+
+        advice  what may be wrong where it does not;  sized  whose size the scatter tells of
+        Raises NoSolutionError where the residuals refute the fit.
+        """
+        refuted, count = "the residuals refute the fit", len(self.used)
+        scatter = math.sqrt(float(np.median(self.chi_squares)) / self.median)
+        if scatter > MAX_SCATTER:
+            raise NoSolutionError(
+                f"{refuted}: the middle one of {count} {self.what} lies {scatter:.3g} times its "
+                f"sigma from the orbit of the others; {advice}"
+            )
+        out = int(np.count_nonzero(~self.used))
+        if out > MAX_LEFT_OUT * count:
+            raise NoSolutionError(
+                f"{refuted}: {out} of {count} {self.what} would be left out; {advice}"
+            )
+        if self.freedom <= 0:
+            return [f"the {self.what} leave nothing to test the orbit by"]
+        ratio = math.sqrt(self.chi_square / self.freedom)
+        probability = float(chdtrc(self.freedom, self.chi_square))
+        if probability < REFUTED_PROBABILITY and ratio > MAX_RATIO:
+            raise NoSolutionError(
+                f"{refuted}: chi-square {self.chi_square:.0f} of {self.freedom}, {ratio:.2f} times "
+                f"the stated sigmas; {advice}"
+            )
+        if min(probability, 1.0 - probability) < REFUTED_PROBABILITY:
+            size = "small" if ratio > 1.0 else "large"
+            return [
+                f"the {self.what} scatter {ratio:.2f} times their stated sigmas: {sized} too {size}"
+            ]
+        return []

@@ -16,7 +16,7 @@ from optnav_cli.frames.orbit_tables import AXES, ORBIT_ERRORS, ORBIT_RESIDUALS, 
 from optnav_cli.orbit.fit.evaluate import ERRORS_CSV
 from optnav_cli.orbit.fit.folder import RESIDUALS, StoredOrbit, read_orbit, rnb_turn, stated_turn
 from optnav_cli.orbit.fit.settings import UNITS
-from optnav_cli.orbit.fit.zenith_output import ZENITH_RESIDUALS_CSV
+from optnav_cli.orbit.fit.zenith_job import ZENITH_RESIDUALS_CSV
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.wording import format_json, format_length
 from optnav_cli.report import page as html

@@ -18,7 +18,7 @@ from catalog.geometry.vectors import unit
 from optnav_cli.dynamics.forces import THRUST
 from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement, SmoothedArc
 from optnav_cli.orbit.fit.motion import ArcMotion, rnb_of
-from optnav_cli.orbit.fit.settings import OF_FIXES, ParameterSettings
+from optnav_cli.orbit.fit.settings import OF_FIXES, PRIOR_SIGMAS, ParameterSettings
 from optnav_cli.orbit.fit.shared_errors import SharedErrorSizes, shared_errors
 
 SAME_TIME_S = 1e-3  # fixes of one node
@@ -28,6 +28,8 @@ SIZES = {"map_offset": 3, "acceleration": 3, "vertical": 2}
 # than leave the covariance digits; once the state's own sigmas are known, so many of these. About
 # the state of the step before, so it moves no orbit.
 OPEN_SHARE, OPEN_SIGMAS, OPEN_AGAIN = 0.1, 1e4, 1e3
+UNOBSERVED = 0.9  # of the prior's sigma
+AXES_OF = {"vertical": "NB"}  # of parameters of which one axis may be open and another not
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,3 +411,30 @@ class OrbitProblem:
         known_before = self.prior_covariance(self.estimated)
         common = np.eye(self.shared.width)
         return np.array(block_diag(np.diag(sigmas**2), known_before, common))
+
+
+def unobserved_remarks(problem: OrbitProblem, covariance: FloatArray) -> list[str]:
+    """Name the parameters that the measurements leave open.
+
+    covariance  (p, p) of the parameters after the fit
+    """
+    remarks = []
+    for parameter in problem.estimated:
+        sigmas = np.sqrt(np.diag(covariance)[parameter.span])
+        left = sigmas / np.sqrt(np.diag(parameter.covariance))
+        axes = AXES_OF.get(parameter.name, "")
+        whose = parameter.settings.label
+        # an arc of thrust is known before: there is nothing to say where the fixes add nothing
+        if parameter.name not in PRIOR_SIGMAS or not (left > UNOBSERVED).any():
+            continue
+        if not (left > UNOBSERVED).all():
+            if not axes:
+                continue
+            hidden = (axis for axis, share in zip(axes, left, strict=True) if share > UNOBSERVED)
+            whose += f" along {', '.join(hidden)}"
+        share = float(left[left > UNOBSERVED].min())
+        remarks.append(
+            f"{whose} is not observed: the measurements leave {100.0 * share:.0f} % of its prior "
+            "sigma"
+        )
+    return remarks

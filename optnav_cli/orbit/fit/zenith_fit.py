@@ -22,15 +22,12 @@ from optnav_cli.orbit.fit.fit import (
     OrbitSolver,
     with_considered,
 )
-from optnav_cli.orbit.fit.missing_forces import check_pattern
+from optnav_cli.orbit.fit.missing_forces import MAX_SCATTER, MEDIAN_OF_1, FitVerdict, check_pattern
 from optnav_cli.orbit.fit.motion import ArcMotion
-from optnav_cli.orbit.fit.problem import OrbitPrior, Trajectory
+from optnav_cli.orbit.fit.problem import OrbitPrior, Trajectory, unobserved_remarks
 from optnav_cli.orbit.fit.settings import ParameterSettings
-from optnav_cli.orbit.fit.unobserved import unobserved_remarks
-from optnav_cli.orbit.fit.verdict import MAX_SCATTER, MEDIAN_OF_1, FitVerdict
 from optnav_cli.orbit.fit.zenith import ZenithSights
-from optnav_cli.orbit.fit.zenith_problem import ZenithProblem
-from optnav_cli.orbit.fit.zenith_start import first_orbits
+from optnav_cli.orbit.fit.zenith_problem import ZenithProblem, first_orbits
 
 NODE_RAD = 0.19  # of the motion between nodes: noise is added up in one piece
 MAX_NODES = 20_000

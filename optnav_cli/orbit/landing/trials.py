@@ -15,8 +15,14 @@ from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.mesh.refine import refine_shape
 from catalog.terrain.mesh.shape import Shape, load_shape
 from catalog.terrain.synthetic import fractal
-from optnav_cli.orbit.landing.departure import Departure, Site, check_clear, depart
-from optnav_cli.orbit.landing.descent import Touchdown, VerticalDescent
+from optnav_cli.orbit.landing.descent import (
+    Departure,
+    Site,
+    Touchdown,
+    VerticalDescent,
+    check_clear,
+    depart,
+)
 from optnav_cli.orbit.landing.navigation import (
     BeamRanges,
     GroundEstimate,

@@ -18,8 +18,13 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.segmentation import Segmented
-from optnav_cli.outline.disc.moments import compute_light_moments, is_round, measure_disc
-from optnav_cli.outline.disc.size import estimate_radius, load_disc_sizes
+from optnav_cli.outline.disc.moments import (
+    compute_light_moments,
+    estimate_radius,
+    is_round,
+    load_disc_sizes,
+    measure_disc,
+)
 from optnav_cli.outline.limb.limb_rays import compute_attitude_covariance
 from optnav_cli.outline.neighbour import CameraView
 from optnav_cli.reasons import Reason, ReasonCode, format_distinct

@@ -17,7 +17,7 @@ from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.least_squares import Iteration, Linearisation, VectorPrior, solve
 from optnav_cli.frames.segmentation import Levels, measure_levels
-from optnav_cli.outline.disc.size import blur_prior, load_disc_sizes
+from optnav_cli.outline.disc.moments import blur_prior, load_disc_sizes
 from optnav_cli.outline.limb.cone import Cone, compute_stretched_rays
 from optnav_cli.outline.limb.edge_fit import EdgeShape, Profiles, locate_edges
 from optnav_cli.outline.limb.photometry import evaluate_three_laws

@@ -6,8 +6,7 @@ import pytest
 
 from catalog.errors import DataError, WorkersError
 from catalog.jobs import cluster
-from catalog.jobs.cluster import start_cluster_workers
-from catalog.jobs.cluster_node import collect_needs
+from catalog.jobs.cluster import collect_needs, start_cluster_workers
 from tests.catalog.jobs.dask_cluster import cluster_of, needs_distributed, until, workers_at
 
 

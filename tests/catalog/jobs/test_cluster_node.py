@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from catalog.jobs.cluster_node import collect_needs, find_misfit
+from catalog.jobs.cluster import collect_needs, find_misfit
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from catalog.control_point import ControlPoint, Flag
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import angular_distance
 from catalog.jobs.workspace import decode_records, encode_records
-from catalog.pipeline import cell_map, check, render, select
+from catalog.pipeline import cell_map, check, render
 from catalog.pipeline.config import (
     BodySettings,
     BuildConfig,
@@ -23,8 +23,7 @@ from catalog.pipeline.config import (
     SelectSettings,
 )
 from catalog.pipeline.context import StageContext
-from catalog.pipeline.render import RenderedCell
-from catalog.pipeline.select import SelectedCell
+from catalog.pipeline.render import RenderedCell, SelectedCell
 from catalog.rendering.map_view import render_map, render_map_quickly
 from catalog.selection.localisation import predict_match
 from catalog.terrain.dem.mosaic import Mosaic
@@ -67,7 +66,7 @@ def rendered(context, cells):
 
 @pytest.fixture(scope="module")
 def selected(context, rendered):
-    return select.select(context, rendered)
+    return render.select(context, rendered)
 
 
 @pytest.fixture(scope="module")
@@ -146,10 +145,10 @@ def test_places_too_far_apart_for_one_ground_are_rendered_alone(
 
 def test_chunks_do_not_matter_and_records_travel(context, cells, rendered, selected, checked):
     alone = [record for cell in reversed(cells) for record in render.render_chunk(context, [cell])]
-    again = select.select(context, alone)
+    again = render.select(context, alone)
     assert encode_records(again) == encode_records(selected)
     whole = decode_records(encode_records(rendered), RenderedCell)
-    assert encode_records(select.select(context, whole)) == encode_records(selected)
+    assert encode_records(render.select(context, whole)) == encode_records(selected)
     back = decode_records(encode_records(checked), ControlPoint)
     assert back == checked
     assert check.check_chunk(context, again[3:4]) == checked[3:4]
@@ -170,7 +169,7 @@ def test_the_predicted_error_is_a_percentile_that_numpy_finds_too(context, perce
     config = msgspec.structs.replace(
         context.config, select=SelectSettings(percentile=percentile, spacing_cell=0.0)
     )
-    chosen = select.select(replace(context, config=config), records)
+    chosen = render.select(replace(context, config=config), records)
     for record, found in zip(records, chosen, strict=True):
         wanted = [
             np.percentile(c.error_px, percentile, axis=1, method="higher").max()

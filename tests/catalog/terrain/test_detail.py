@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from catalog.geometry.projection import Stereographic, make_node_grid
-from catalog.terrain.synthetic import craters, fractal
+from catalog.terrain.synthetic import fractal, relief
 from catalog.terrain.synthetic.relief import SyntheticRelief
 
 RADIUS_M = 1_737_400.0
@@ -84,9 +84,9 @@ def test_points_on_both_sides_of_180_degrees_join():
 
 
 def test_a_crater_of_any_wear_holds_no_net_volume():
-    x = (np.arange(50_000) + 0.5) / 50_000 * craters.REACH
+    x = (np.arange(50_000) + 0.5) / 50_000 * relief.REACH
     for wear in (0.0, 0.4, 1.0):
-        heights = np.array([craters.evaluate_profile(r, wear) for r in x])
+        heights = np.array([relief.evaluate_profile(r, wear) for r in x])
         bowl = float(np.sum(np.minimum(heights, 0.0) * x))
         assert abs(float(np.sum(heights * x))) < 2e-3 * abs(bowl)
         assert heights.max() - heights.min() == pytest.approx(1.0, abs=0.01)
@@ -98,13 +98,13 @@ def test_crater_counts_follow_the_equilibrium_law_at_every_latitude():
     for south_deg, width_deg in ((-43.0, 1.0), (0.0, 1.0), (88.0, 90.0)):
         south, width = np.radians(south_deg), np.radians(width_deg)
         north = south + np.radians(0.5)
-        population = craters.Population(5, 3, 236.9, 0.05, RADIUS_M)
-        table = craters.make_crater_table(population, south, 3.0, north, width)
-        east = np.mod(table[:, craters.LON] - 3.0, 2.0 * np.pi)
-        lat = table[:, craters.LAT]
+        population = relief.Population(5, 3, 236.9, 0.05, RADIUS_M)
+        table = relief.make_crater_table(population, south, 3.0, north, width)
+        east = np.mod(table[:, relief.LON] - 3.0, 2.0 * np.pi)
+        lat = table[:, relief.LAT]
         inside = (lat >= south) & (lat < north) & (east < width)
         area = RADIUS_M**2 * width * (np.sin(north) - np.sin(south))
-        diameters = table[inside, craters.DIAMETER]
+        diameters = table[inside, relief.DIAMETER]
         top = diameters.max()
         assert top <= 236.9
         for low, high in ((29.7, 236.9), (60.0, 120.0), (118.5, 236.9)):

@@ -14,9 +14,8 @@ from catalog.pipeline.config import BuildConfig
 from optnav_cli.camera.camera_file import CameraFileSettings
 from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.frames.run_settings import RunSettings
-from optnav_cli.simulation.approach import Approach
 from optnav_cli.simulation.descent import Descent
-from optnav_cli.simulation.inertial_path import InertialPath
+from optnav_cli.simulation.inertial_path import Approach, InertialPath
 from optnav_cli.simulation.passes import Portraits, Scenario
 from optnav_cli.simulation.stereo_path import StereoScenario
 from tests.fuzz.cases import DATA, NOTHING, OK, OPEN, REFUSED, Case, Place, kind

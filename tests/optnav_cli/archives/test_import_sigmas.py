@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
+from optnav_cli.archives.frame import Share
 from optnav_cli.archives.job import ImportOptions, import_folder
-from optnav_cli.archives.source_sigmas import Share
 from optnav_cli.frames.frames import Frame
 from tests.optnav_cli.archives.made_cubes import CAMERA_BODY_KM, Cube, write_cube
 from tests.optnav_cli.archives.test_import_times import made_times, planets  # noqa: F401

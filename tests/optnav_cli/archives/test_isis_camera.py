@@ -9,7 +9,7 @@ import pytest
 
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
-from optnav_cli.archives.isis_keywords import KEYWORDS
+from optnav_cli.archives.isis_lens import KEYWORDS
 from optnav_cli.archives.job import ImportOptions, import_folder
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera

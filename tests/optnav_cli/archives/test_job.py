@@ -16,10 +16,10 @@ from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import resource
 from catalog.errors import ConfigError, DataError, OutputError, UsageError
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from optnav_cli.archives.frame import load_table
 from optnav_cli.archives.job import ImportOptions, import_folder
-from optnav_cli.archives.label_pixels import CODING_KEYWORDS, KEYWORDS
+from optnav_cli.archives.pixels import CODING_KEYWORDS, KEYWORDS
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.frames import Frame

@@ -8,7 +8,7 @@ import pytest
 from catalog.config import resource
 from catalog.errors import DataError
 from optnav_cli.archives.label import ArchiveLabel, read_label
-from optnav_cli.archives.label_keywords import KEYWORDS, check_label
+from optnav_cli.archives.label_geometry import KEYWORDS, check_label
 
 REFUSED = [name for name, keyword in KEYWORDS.items() if keyword.fate == "refused"]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optnav_cli.archives.label_units import extract_unit, find_unit
+from optnav_cli.archives.label import extract_unit, find_unit
 
 
 @pytest.mark.parametrize(

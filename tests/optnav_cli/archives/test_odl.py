@@ -2,7 +2,7 @@
 
 import pytest
 
-from optnav_cli.archives.odl import OdlError, Statement, read_statements
+from optnav_cli.archives.label_text import OdlError, Statement, read_statements
 
 LABEL = """CCSD3ZF0000100000001NJPL3IF0PDS200000001 = SFDU_LABEL
 /* A comment = "over

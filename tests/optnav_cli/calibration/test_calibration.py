@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from catalog.errors import NothingToDoError
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from optnav_cli.calibration import adjustment
 from optnav_cli.calibration.adjustment import AdjustedFrame, adjust, compute_residuals
 from optnav_cli.calibration.job import check_points
-from optnav_cli.calibration.motion import estimate_frame_motions
-from optnav_cli.calibration.separability import find_inseparable, find_tied_pairs
+from optnav_cli.calibration.model import estimate_frame_motions, find_inseparable, find_tied_pairs
 from optnav_cli.calibration.settings import CalibrateSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera

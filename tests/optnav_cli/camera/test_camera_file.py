@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from catalog.errors import ConfigError
+from optnav_cli.camera.camera import Coding
 from optnav_cli.camera.camera_file import camera_toml, load_camera, preset_camera
-from optnav_cli.camera.coding import Coding
 
 PRESETS = Path(__file__).parents[3] / "configs/cameras"
 GOOD = """

@@ -19,7 +19,7 @@ from optnav_cli.cylinder.geometry import (
     solve_printed_formulas,
 )
 from optnav_cli.cylinder.profile import measure_printed_extent, measure_profile
-from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
+from optnav_cli.simulation.cylinder_scenario import SurfaceSettings, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
 

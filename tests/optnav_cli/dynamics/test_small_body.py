@@ -12,7 +12,7 @@ from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from optnav_cli.dynamics.arc import OrbitArc, TimedPosition
 from optnav_cli.dynamics.forces import Forces, OrbitMotion, even_field, kaula_by_gravity
-from optnav_cli.simulation.approach import Approach, approach_states
+from optnav_cli.simulation.inertial_path import Approach, approach_states
 from optnav_cli.simulation.scenario import load_scenario
 
 PHOBOS = load_body("phobos")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optnav_cli.estimation.residual_pattern import pattern_probability
+from optnav_cli.orbit.fit.missing_forces import pattern_probability
 
 TIMES = np.linspace(0.0, 43_200.0, 720)
 SERIES = np.arange(720) % 3

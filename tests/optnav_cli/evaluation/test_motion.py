@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
-from optnav_cli.evaluation.motion import find_motion_axes
+from optnav_cli.evaluation.figures import find_motion_axes
 from optnav_cli.frames.truth import Truth
 
 RADIUS_M = 1837400.0

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from optnav_cli.frames.margins import find_margins
+from optnav_cli.frames.picture import find_margins
 
 SIDE = 300
 

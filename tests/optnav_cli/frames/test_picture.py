@@ -15,10 +15,9 @@ import pytest
 import rasterio
 
 from catalog.errors import DataError
-from optnav_cli.camera.camera import Camera
-from optnav_cli.camera.coding import Coding
-from optnav_cli.frames.full_scale import find_full_scale
+from optnav_cli.camera.camera import Camera, Coding
 from optnav_cli.frames.picture import Picture, load_picture
+from optnav_cli.frames.raster_pixels import find_full_scale
 from optnav_cli.frames.segmentation import measure_levels
 
 CAMERA = Camera("test", "pinhole", 200, 160, 300.0, (99.5, 79.5))

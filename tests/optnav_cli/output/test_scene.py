@@ -10,7 +10,7 @@ from catalog.bodies.body import load_body
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow
-from optnav_cli.output.scene import BODY_SCALE, CAMERA_COLOURS, MAX_TRACK, Scene
+from optnav_cli.output.foxglove import BODY_SCALE, CAMERA_COLOURS, MAX_TRACK, Scene
 from tests.optnav_cli.rows import solved, unsolved
 
 MOON = load_body("moon")

@@ -14,8 +14,8 @@ from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.points import PickedPoint
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
-from optnav_cli.points.horizon import is_hidden
 from optnav_cli.points.method import PickedFrames
+from optnav_cli.points.model import is_hidden
 from optnav_cli.reasons import ReasonCode
 
 FRAMING = Camera("fc", "pinhole", 1024, 1024, 150.0 / 0.014, (511.5, 511.5))

@@ -14,10 +14,10 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.shape import Shape, load_shape
-from optnav_cli.simulation import approach
-from optnav_cli.simulation.approach import ApproachSettings, masses_of
-from optnav_cli.simulation.exposure import Exposure
+from optnav_cli.simulation import inertial_path
+from optnav_cli.simulation.inertial_path import ApproachSettings, masses_of
 from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.simulation.scenario_base import Exposure
 
 ROOT = Path(__file__).resolve().parents[3]
 SHIPPED = ROOT / "configs" / "scenarios" / "phobos_approach.toml"
@@ -110,7 +110,7 @@ def test_the_template_shows_the_defaults() -> None:
 def test_what_cannot_be_flown_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, word: str
 ) -> None:
-    monkeypatch.setattr(approach, "MAX_S", 6 * 3600.0)  # five days take long to integrate
+    monkeypatch.setattr(inertial_path, "MAX_S", 6 * 3600.0)  # five days take long to integrate
     text = SHIPPED.read_text()
     assert old in text
     (tmp_path / "s.toml").write_text(text.replace(old, new).replace("frames = 60", "frames = 2"))

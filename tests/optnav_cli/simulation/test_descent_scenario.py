@@ -10,12 +10,18 @@ from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.config import resource
 from catalog.errors import ConfigError
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from catalog.terrain.dem.source import DemSettings, DemSource
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.run_settings import InertialSettings, read_run_settings
-from optnav_cli.simulation.descent import Descent, DescentSettings, picture_times, track_errors
-from optnav_cli.simulation.descent_model import ModelSettings, surveyed_model
+from optnav_cli.simulation.descent import (
+    Descent,
+    DescentSettings,
+    ModelSettings,
+    picture_times,
+    surveyed_model,
+    track_errors,
+)
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sections import DetailSettings, GlobeSettings, MainCamera
 

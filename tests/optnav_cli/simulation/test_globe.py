@@ -16,7 +16,6 @@ from catalog.photometry import hapke
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.exposure import Exposure
 from optnav_cli.simulation.globe_ground import (
     GlobeGround,
     GlobeTerrain,
@@ -27,6 +26,7 @@ from optnav_cli.simulation.globe_ground import (
 )
 from optnav_cli.simulation.globe_heights import GlobeHeights, read_globe
 from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.simulation.scenario_base import Exposure
 from tests.catalog.conftest import write_dem
 from tests.optnav_cli.simulation.simulated import simulate
 

@@ -16,9 +16,9 @@ from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.orbit.fit.settings import OrbitFitSettings
-from optnav_cli.simulation.exposure import Exposure
 from optnav_cli.simulation.inertial_path import InertialPath, flight_states, transfer_states
 from optnav_cli.simulation.scenario import load_scenario, scenario_motion
+from optnav_cli.simulation.scenario_base import Exposure
 from tests.optnav_cli.simulation.simulated import simulate
 
 ROOT = Path(__file__).resolve().parents[3]

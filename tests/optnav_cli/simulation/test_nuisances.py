@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.exposure import Exposure
 from optnav_cli.simulation.passes import Scenario
 from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.simulation.scenario_base import Exposure
 from optnav_cli.simulation.sections import (
     GlareSettings,
     SensorSettings,

@@ -13,10 +13,10 @@ from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import ConfigError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.exposure import Exposure
-from optnav_cli.simulation.mesh_ground import MeshGround
 from optnav_cli.simulation.passes import Portraits, PortraitSettings
 from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.simulation.scenario_base import Exposure
+from optnav_cli.simulation.surroundings import MeshGround
 from tests.optnav_cli.simulation.simulated import simulate
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -18,11 +18,11 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.simulation.cylinder import CylinderScenario
-from optnav_cli.simulation.exposure import Exposure
+from optnav_cli.simulation.job import CylinderScenario
 from optnav_cli.simulation.passes import Scenario
 from optnav_cli.simulation.region_ground import RegionGround, truth_terrain
 from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.simulation.scenario_base import Exposure
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
 from tests.optnav_cli.simulation.simulated import simulate

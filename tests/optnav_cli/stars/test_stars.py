@@ -12,7 +12,7 @@ from catalog.bodies.body import load_body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.stars import load_bright_stars, make_stars
 from catalog.errors import NoSolutionError
-from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import ARCSEC
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.picture import load_picture

@@ -16,8 +16,7 @@ from catalog.progress import SilentProgress
 from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.mounts import MountSettings, check_mounts
-from optnav_cli.frames.run_settings import RunSettings
+from optnav_cli.frames.run_settings import MountSettings, RunSettings, check_mounts
 from optnav_cli.frames.tables import HEIGHTS
 from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from catalog.terrain.mesh.rays import MeshRays, intersect_all
-from catalog.terrain.mesh.winding import count_turns
+from catalog.terrain.mesh.shape import count_turns
 
 
 @pytest.fixture(scope="module")

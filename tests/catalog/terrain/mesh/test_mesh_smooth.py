@@ -8,10 +8,9 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from catalog.terrain.dem.file import resolve_path
+from catalog.terrain.mesh.file import RadiiGrid
 from catalog.terrain.mesh.refine import refine_grid, smooth_corners, split_by_butterfly
-from catalog.terrain.mesh.shape import Shape
-from catalog.terrain.mesh.table import RadiiGrid
-from catalog.terrain.mesh.winding import compute_volume, find_edges
+from catalog.terrain.mesh.shape import Shape, compute_volume, find_edges
 
 
 def test_the_butterfly_leaves_a_ball_by_a_tenth_of_what_flat_faces_do() -> None:

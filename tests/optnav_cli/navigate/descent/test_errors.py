@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optnav_cli.navigate.descent.errors import (
+from optnav_cli.navigate.descent.state import (
     SCALES,
     WindowGround,
     WindowSpread,

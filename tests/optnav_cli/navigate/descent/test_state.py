@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from catalog.arrays import FloatArray
-from optnav_cli.navigate.descent.errors import WindowError
 from optnav_cli.navigate.descent.filter import TRACK, TrackErrors
-from optnav_cli.navigate.descent.state import JointState
+from optnav_cli.navigate.descent.state import JointState, WindowError
 from optnav_cli.navigate.descent.windows import STEP, WindowKey, compute_overlap
 
 COMMON_SHARE = 0.15

@@ -11,7 +11,7 @@ from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.main import run as optnav
 from optnav_cli.orbit.fit.folder import read_orbit
 from optnav_cli.orbit.fit.job import fit_runs
-from optnav_cli.orbit.fit.picture_times import picture_times
+from optnav_cli.orbit.fit.known_orbit import picture_times
 from optnav_cli.orbit.fit.predict import OrbitPath
 from optnav_cli.orbit.fit.settings import OrbitFitSettings
 from tests.optnav_cli.orbit.fit.flights import QUIET, START_S, fixes_of, flight, truth, write_run

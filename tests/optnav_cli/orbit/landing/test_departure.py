@@ -11,7 +11,7 @@ from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import compute_normals, project_to_surface
 from catalog.terrain.synthetic import fractal
-from optnav_cli.orbit.landing.departure import check_clear, depart
+from optnav_cli.orbit.landing.descent import check_clear, depart
 from optnav_cli.orbit.landing.model import OnboardMotion, turning_state
 from optnav_cli.orbit.landing.navigation import (
     BeamRanges,

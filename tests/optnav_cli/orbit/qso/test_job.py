@@ -9,7 +9,7 @@ from catalog.progress import SilentProgress
 from optnav_cli.frames.orbit_tables import QSO, QSO_PASSES
 from optnav_cli.main import run
 from optnav_cli.orbit.fit.oem_reader import read_oem
-from optnav_cli.orbit.qso.theory import phase_rate
+from optnav_cli.orbit.qso.search import phase_rate
 from tests.studies.qso import periodic_rate
 from tests.studies.qso import report as study_report
 from tests.studies.qso import run as run_study

@@ -15,9 +15,8 @@ from catalog.terrain.mesh.shape import load_shape
 from optnav_cli.dynamics import gravity_kernel as harmonics
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.dynamics.gravity_field import oblate_field
-from optnav_cli.orbit.qso.field import mesh_field
 from optnav_cli.orbit.qso.motion import MoonMotion, split
-from optnav_cli.orbit.qso.settings import BUNDLED_MESH
+from optnav_cli.orbit.qso.settings import BUNDLED_MESH, mesh_field
 
 PHOBOS = load_body("phobos")
 BEGIN = utc_to_tdb_s("2026-01-01T00:00:00Z")

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import ellipk
 
-from optnav_cli.orbit.qso.theory import (
+from optnav_cli.orbit.qso.search import (
     KAPPA,
     MIN_A,
     MIN_DE,

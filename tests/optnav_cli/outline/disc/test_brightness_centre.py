@@ -9,8 +9,7 @@ from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from optnav_cli.frames.picture import Picture
 from optnav_cli.outline.disc.brightness_centre import navigate
-from optnav_cli.outline.disc.moments import compute_sphere_moments
-from optnav_cli.outline.disc.size import load_disc_sizes
+from optnav_cli.outline.disc.moments import compute_sphere_moments, load_disc_sizes
 from optnav_cli.outline.neighbour import CameraView
 from tests.optnav_cli.outline.disc.drawn_discs import blurred_disc, expose, far_camera, placed
 

@@ -1,4 +1,4 @@
-"""Read the statements of PDS3 labels: the Object Description Language.
+"""Read the text of archive labels: PDS3 (Object Description Language), VICAR and PDS4 (XML).
 
 Source: PDS Standards Reference 3.8, chapter 12 (ODL 2.1). Read beyond it, as archives write them:
 keywords without a value, texts without quotes, comments over several lines, a unit after a
@@ -6,8 +6,13 @@ sequence. Comments count outside of quotes only, and what follows END is no labe
 """
 
 import re
-from collections.abc import Iterator
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import NamedTuple
+from xml.etree import ElementTree
+
+from catalog.errors import DataError
 
 # One token; a text or a unit without its end, and a bracket, are matched by their first letter.
 _TOKEN = re.compile(
@@ -17,6 +22,16 @@ _TOKEN = re.compile(
 )
 _OPENING, _CLOSING = ("OBJECT", "GROUP", "BEGIN_OBJECT", "BEGIN_GROUP"), ("END_OBJECT", "END_GROUP")
 _HEAD = re.compile(r"(CCSD|NJPL)\w{8,}")  # a standard formatted data unit's, without a value
+MAX_LABEL = 1 << 20
+BEGINNING = b"LBLSIZE="
+_PAIR = re.compile(
+    r"\s*([A-Za-z][A-Za-z0-9_]*)\s*=\s*(\((?:'(?:[^']|'')*+'|[^')])*+\)|'(?:[^']|'')*+'|[^\s,()']+)"
+)
+_ELEMENT = re.compile(r"\s*('(?:[^']|'')*+'|[^\s,']+)\s*(?:,|$)")
+MAX_DEPTH = 64  # of elements in elements
+_INDEX = re.compile(r"\[\d+\]")
+_CONDITION = re.compile(r"\[([^\]=]+)=([^\]]*)\]")
+_SEGMENT = re.compile(r"/(?![^\[]*\])")  # a slash outside of conditions
 
 
 class OdlError(ValueError):
@@ -187,3 +202,128 @@ class _Sequence:
         start = self._starts.pop()
         self.elements[start:] = [(text, stated or unit) for text, stated in self.elements[start:]]
         return not self._starts
+
+
+class Pair(NamedTuple):
+    """A keyword with its values and the group that it is in, "" for that of the system."""
+
+    group: str
+    key: str
+    texts: tuple[str, ...]
+
+
+def read_pairs(path: Path) -> list[Pair]:
+    """Read the keywords of a label in their order. Raises DataError for a damaged label."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(MAX_LABEL)
+            size = re.match(rb"LBLSIZE=\s*(\d{1,7})\s", head)
+            if size is None:
+                raise DataError(f"{path}: is no VICAR picture: LBLSIZE is no number")
+            pairs = list(_parse_pairs(path, head[: int(size[1])]))
+            end = _find_second_label(path, pairs, int(size[1]))
+            if end is not None:
+                file.seek(end)
+                again = re.match(rb"LBLSIZE=\s*(\d{1,7})\s", tail := file.read(MAX_LABEL))
+                if again is None:
+                    raise DataError(f"{path}: its second label is missing: the file is cut short")
+                pairs += _parse_pairs(path, tail[: int(again[1])])
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
+    return pairs
+
+
+def _parse_pairs(path: Path, raw: bytes) -> Iterator[Pair]:
+    text = raw.decode("latin-1").rstrip("\0 \r\n\t")
+    start, group = 0, ""
+    while start < len(text):
+        match = _PAIR.match(text, start)
+        if match is None:
+            raise DataError(
+                f"{path}: is a damaged VICAR label: '{text[start : start + 40].strip()}' is no "
+                "KEYWORD=VALUE"
+            )
+        key, value, start = match[1].upper(), match[2], match.end()
+        texts = tuple(
+            map(_strip_quotes, _ELEMENT.findall(value[1:-1]) if value[0] == "(" else [value])
+        )
+        if key in ("PROPERTY", "TASK"):
+            group = texts[0].upper() if texts else ""
+        else:
+            yield Pair(group, key, texts)
+
+
+def _strip_quotes(text: str) -> str:
+    inner = text[1:-1].replace("''", "'") if text[:1] == "'" else text
+    return inner.strip()
+
+
+def _find_second_label(path: Path, pairs: list[Pair], label_bytes: int) -> int | None:
+    """Where the label behind the picture begins; None where there is none."""
+    stated = {pair.key: pair.texts[0] for pair in reversed(pairs) if pair.texts and not pair.group}
+    if stated.get("EOL", "0") != "1":
+        return None
+    try:
+        record, before, lines, bands = (int(stated[key]) for key in ("RECSIZE", "NLB", "N2", "N3"))
+    except (KeyError, ValueError):
+        raise DataError(f"{path}: is a damaged VICAR label: RECSIZE, NLB, N2 or N3") from None
+    if min(record, before, lines, bands) < 0 or max(record, before, lines, bands) > 10**9:
+        raise DataError(f"{path}: is a damaged VICAR label: RECSIZE, NLB, N2 or N3")
+    return label_bytes + record * (before + lines * bands)
+
+
+def read_elements(path: Path, text: str) -> Iterator[tuple[str, str, str]]:
+    """Read path, text and unit of every element that holds no other, those near the root first.
+
+    Of siblings of one name the second and later ones have their number in the path, as "A/B[2]/c".
+    Raises DataError for damaged XML, and for XML that refers to other texts.
+    """
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise DataError(f"{path}: is no plain PDS4 label")
+    try:
+        root = ElementTree.fromstring(text.encode("utf-8"))
+    except ElementTree.ParseError as error:
+        raise DataError(f"{path}: is a damaged PDS4 label ({error})") from None
+    waiting = deque([(root, _strip_namespace(root), 0)])
+    while waiting:
+        element, name, depth = waiting.popleft()
+        if depth > MAX_DEPTH:
+            raise DataError(f"{path}: is no PDS4 label: elements in elements, too deep")
+        if len(element) == 0:
+            yield name, (element.text or "").strip(), element.get("unit", "").strip()
+        seen: Counter[str] = Counter()
+        for child in element:
+            tag = _strip_namespace(child)
+            seen[tag] += 1
+            index = f"[{seen[tag]}]" if seen[tag] > 1 else ""
+            waiting.append((child, f"{name}/{tag}{index}", depth + 1))
+
+
+def _strip_namespace(element: ElementTree.Element) -> str:
+    return element.tag.rpartition("}")[2] if isinstance(element.tag, str) else "comment"
+
+
+def find_elements(values: Mapping[str, tuple[str, ...]], key: str) -> list[str]:
+    """Find the paths that end as `key` does, as "Vector[Frame/name=J2000]/x".
+
+    A condition in brackets holds where the element has one in it of this path and text.
+    """
+    ends, last = _CONDITION.sub("", key), _SEGMENT.split(_CONDITION.sub("", key))[-1]
+    return [
+        name
+        for name in values
+        if last in name
+        and f"/{_INDEX.sub('', name)}".endswith(f"/{ends}")
+        and _has_conditions(values, name, key)
+    ]
+
+
+def _has_conditions(values: Mapping[str, tuple[str, ...]], name: str, key: str) -> bool:
+    segments, wanted = name.split("/"), _SEGMENT.split(key)
+    for number, segment in enumerate(wanted):
+        base = "/".join(segments[: len(segments) - len(wanted) + number + 1])
+        for inner, text in _CONDITION.findall(segment):
+            stated = values.get(f"{base}/{inner}", ("",))[0]
+            if stated.upper() != text.strip().upper():
+                return False
+    return True
