@@ -49,17 +49,17 @@ class SpecialValues:
 
     def is_missing(self, stored: NDArray[Any]) -> BoolArray:
         """Mark pixels without a value: bool, of the shape of `stored`; NaN counts."""
-        marked = ~(stored >= _convert_type(self.lowest_valid, stored))
+        marked: BoolArray = ~(stored >= _convert_type(self.lowest_valid, stored))
         for value in self.missing:
             marked |= stored == _convert_type(value, stored)
-        return np.asarray(marked, dtype=np.bool_)
+        return marked
 
     def is_saturated(self, stored: NDArray[Any]) -> BoolArray:
         """Mark saturated pixels: bool, of the shape of `stored`."""
-        marked = stored > _convert_type(self.highest_valid, stored)
+        marked: BoolArray = stored > _convert_type(self.highest_valid, stored)
         for value in self.saturated:
             marked |= stored == _convert_type(value, stored)
-        return np.asarray(marked, dtype=np.bool_)
+        return marked
 
 
 def _convert_type(value: float, stored: NDArray[Any]) -> np.float64 | np.float32:

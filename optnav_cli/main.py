@@ -41,6 +41,7 @@ PLACE_ERRORS = {
 
 _HERE = "optnav_cli.commands"
 _PICTURES = f"{_HERE}.pictures"
+_RESULTS = f"{_HERE}.results"
 COMMANDS = {
     "demo": Entry(f"{_HERE}.demo", "The main job on the bundled Tycho terrain, with a report."),
     "build": Entry(f"{_HERE}.build", "Build a control-point catalog from terrain models.", "build"),
@@ -65,9 +66,9 @@ COMMANDS = {
     "orbit": Entry(f"{_HERE}.orbit", "Orbits through fixes, and what follows from them."),
     "slopes": Entry(f"{_HERE}.hazard", "How steep a terrain model is.", "slopes"),
     "hazard": Entry(f"{_HERE}.hazard", "Map the risk of landing, choose pads.", "hazard"),
-    "evaluate": Entry(_PICTURES, "Compare a run's positions with the truth.", "evaluate"),
-    "export": Entry(_PICTURES, "Write a run as layers for GIS programs.", "export"),
-    "report": Entry(_PICTURES, "Make a page about a run or a catalog.", "report"),
+    "evaluate": Entry(_RESULTS, "Compare a run's positions with the truth.", "evaluate"),
+    "export": Entry(_RESULTS, "Write a run as layers for GIS programs.", "export"),
+    "report": Entry(_RESULTS, "Make a page about a run or a catalog.", "report"),
     "config": Entry(f"{_HERE}.config", "What ships with optnav; configurations to start from."),
 }
 

@@ -99,7 +99,7 @@ class _Daf(NamedTuple):
             raise ValueError("a list of times")
         if not np.array_equal(directory, times[99:-1:100]):
             raise ValueError("a directory of times")
-        return np.asarray(times, np.float64)
+        return times.astype(np.float64)
 
     def count(self, address: int) -> int:
         """Read a double that counts something. Raises ValueError where it counts nothing."""

@@ -326,10 +326,7 @@ def _format_patch_system(meta: CatalogMeta, point: ControlPoint) -> str:
     """The map projection of a point's patches, as WKT."""
     if meta.planes is None:
         return format_stereographic_wkt(
-            meta.body,
-            f"control point {point.id}",
-            meta.radius_m,
-            (point.lat_deg, point.lon_deg),
+            meta.body, f"control point {point.id}", meta.radius_m, (point.lat_deg, point.lon_deg)
         )
     # no projection of a sphere: heights move a point across the plane
     name = f"Plane that touches the ellipsoid of {meta.body} below control point {point.id}"
@@ -339,10 +336,7 @@ def _format_patch_system(meta: CatalogMeta, point: ControlPoint) -> str:
 
 
 def _write_raster(
-    path: Path,
-    bands: Mapping[str, Float32Array],
-    place: Mapping[str, Any],
-    tags: Mapping[str, str],
+    path: Path, bands: Mapping[str, Float32Array], place: Mapping[str, Any], tags: Mapping[str, str]
 ) -> None:
     """Write grids as bands, with their descriptions; all of them are metres."""
     with replace_file(path, _is_our_raster) as partial:

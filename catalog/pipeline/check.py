@@ -25,8 +25,8 @@ from catalog.selection.trial import (
     FINER,
     Gate,
     Level,
-    Outcome,
     Search,
+    TrialOutcome,
     compute_truth_size,
     draw_circumstances,
     run_trial,
@@ -59,7 +59,7 @@ def run_trials(
     seed: Sequence[int],
     relief_seed: int,
     trials: int,
-) -> Iterator[Outcome]:
+) -> Iterator[TrialOutcome]:
     """Independent recognition trials of a place under the circumstances that [check] sets, in turn.
 
     There is one for each of evenly spaced Sun elevations.
@@ -188,7 +188,7 @@ class Certificate:
         return self._context.make_outer_patches(self._projection)
 
     @cached_property
-    def _outcomes(self) -> Iterator[Outcome]:
+    def _outcomes(self) -> Iterator[TrialOutcome]:
         """Outcomes of the trials that are still to be run."""
         return run_trials(
             self._context,

@@ -74,7 +74,7 @@ class Circumstances(NamedTuple):
     snr: float
 
 
-class Outcome(NamedTuple):
+class TrialOutcome(NamedTuple):
     """The result of a trial: error of the place (finest nodes), and whether it was accepted."""
 
     error: tuple[float, float]
@@ -179,7 +179,7 @@ def run_trial(
     search: Search = Search(),
     gate: Gate = Gate(),
     outer: Sequence[tuple[Float32Array, float]] = (),
-) -> Outcome:
+) -> TrialOutcome:
     """Look for a point once.
 
     levels  finest first; the search starts at the last
@@ -244,7 +244,7 @@ def run_trial(
         and match.score >= gate.min_score
         and match.runner_up <= gate.rival_ratio * match.score
     )
-    return Outcome((float(error[0]), float(error[1])), match.score, match.runner_up, accepted)
+    return TrialOutcome((float(error[0]), float(error[1])), match.score, match.runner_up, accepted)
 
 
 # between map axes (x east, y north) and grid axes (x along columns, y along rows)

@@ -19,12 +19,7 @@ from catalog.geometry.latlon import wrap_longitude_deg, xyz_from_latlon
 from catalog.store.connection import connect, read_meta
 from catalog.store.geopackage import define_srs
 from catalog.store.manifest import CatalogMeta
-from catalog.store.patches import (
-    StoredPatch,
-    check_patch,
-    patch_from_row,
-    stored_patch_from_row,
-)
+from catalog.store.patches import StoredPatch, check_patch, patch_from_row, stored_patch_from_row
 from catalog.store.records import (
     Record,
     compute_checksum,

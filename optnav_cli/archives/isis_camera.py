@@ -204,11 +204,7 @@ def _find_summing(stated: Stated, origin: FloatArray, size: tuple[int, int]) -> 
 
 
 def _read_focal_length(
-    stated: Stated,
-    pitch_mm: FloatArray,
-    summing: float,
-    size: tuple[int, int],
-    notes: list[str],
+    stated: Stated, pitch_mm: FloatArray, summing: float, size: tuple[int, int], notes: list[str]
 ) -> float:
     """The focal length, mm."""
     warm = stated.naif.get("TempDependentFocalLength")

@@ -211,10 +211,7 @@ def _invert_taylor(points: FloatArray, terms: Sequence[FloatArray] | FloatArray)
 
 
 def _fit_lens(
-    camera: Camera,
-    focal_mm: float,
-    turn: FloatArray,
-    undistort: Callable[[FloatArray], FloatArray],
+    camera: Camera, focal_mm: float, turn: FloatArray, undistort: Callable[[FloatArray], FloatArray]
 ) -> tuple[Camera, float]:
     """Fit Brown's lens to a function of the focal plane; the camera and the worst error, px.
 

@@ -23,9 +23,7 @@ Scale = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
 Keys = tuple[str, ...]
 Axes = Literal["inertial", "body", "camera"]
 DEGREE = float(np.pi / 180.0)
-LONGITUDE_WORDS = {
-    "POSITIVE_LONGITUDE_DIRECTION": {"WEST": "west", "EAST": "east"},
-}
+LONGITUDE_WORDS = {"POSITIVE_LONGITUDE_DIRECTION": {"WEST": "west", "EAST": "east"}}
 LATITUDE_WORDS = {
     key: {word: word.lower() for word in ("PLANETOCENTRIC", "PLANETOGRAPHIC")}
     for key in ("COORDINATE_SYSTEM_NAME", "LATITUDE_TYPE")

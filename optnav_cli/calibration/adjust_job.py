@@ -30,26 +30,14 @@ from optnav_cli.calibration.adjustment import (
     estimate_shared_errors,
 )
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.models.common import (
-    OF_THE_CATALOG,
-    Common,
-    CommonState,
-    common_numbers,
-)
+from optnav_cli.estimation.models.common import OF_THE_CATALOG, Common, CommonState, common_numbers
 from optnav_cli.estimation.models.points import Pose, Sightings
 from optnav_cli.estimation.robust import STATED_DEGREES_OF_FREEDOM
 from optnav_cli.fix import MatchRow, Method, Solution
 from optnav_cli.frames.folder import read_cameras
 from optnav_cli.frames.frames import Frame, read_frames
 from optnav_cli.output.manifest import hash_files, read_manifest, write_manifest
-from optnav_cli.output.run_folder import (
-    CAMERAS,
-    FRAMES,
-    MATCHES,
-    SOLUTION,
-    RunFolder,
-    read_run,
-)
+from optnav_cli.output.run_folder import CAMERAS, FRAMES, MATCHES, SOLUTION, RunFolder, read_run
 from optnav_cli.reasons import ReasonCode
 
 KIND = "adjusted run"
@@ -70,10 +58,7 @@ NO_SCATTER = LabelScatter()
 
 
 def adjust_runs(
-    runs: Sequence[Path],
-    output: Path,
-    kinds: Sequence[Common],
-    scatter: LabelScatter = NO_SCATTER,
+    runs: Sequence[Path], output: Path, kinds: Sequence[Common], scatter: LabelScatter = NO_SCATTER
 ) -> AdjustedRuns:
     """Adjust the frames of runs together and write the folder of the adjusted run.
 

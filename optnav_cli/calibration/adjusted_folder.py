@@ -14,19 +14,10 @@ from catalog.arrays import FloatArray
 from catalog.bodies.body import CatalogFrame, is_body_file
 from catalog.config import resource
 from catalog.geometry.vectors import ARCSEC
-from optnav_cli.calibration.adjustment import (
-    AdjustedFrame,
-    Adjustment,
-    FrameResult,
-)
+from optnav_cli.calibration.adjustment import AdjustedFrame, Adjustment, FrameResult
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import write_camera
-from optnav_cli.estimation.models.common import (
-    OF_THE_CATALOG,
-    Common,
-    CommonNumber,
-    CommonState,
-)
+from optnav_cli.estimation.models.common import OF_THE_CATALOG, Common, CommonNumber, CommonState
 from optnav_cli.fix import Evidence, Fix, MatchRow, Method, NoFix, Solution
 from optnav_cli.frames.frames import Frame, write_frames
 from optnav_cli.frames.run_settings import RunSettings, write_run_settings

@@ -4,12 +4,9 @@ A place of the catalog stands at scale * (turned) + origin in the frame that pos
 in, each camera is turned by its boresight from what attitudes state, and its focal length may be
 off. Frames meet in these numbers alone. So the blocks of the poses are eliminated (Schur's
 complement; Triggs et al., "Bundle adjustment - a modern synthesis", 2000), and the time grows with
-the number of frames, not with its cube. Stated positions and attitudes are measurements with their
-sigmas; Tukey's weights take wrong matches out.
-
-What many frames see of one control point errs alike. The scores of each point summed over its
-frames show by how much: the covariance of the common numbers is raised by it (the sandwich of
-clustered data; Liang and Zeger, Biometrika 73, 1986).
+the number of frames. Stated positions and attitudes are measurements with their sigmas; Tukey's
+weights take wrong matches out. Frames err alike about one control point: its scores, summed over
+them, raise the covariance of the common numbers (clustered data; Liang and Zeger, 1986).
 """
 
 from collections.abc import Sequence
@@ -171,7 +168,7 @@ def adjust(
         ]
         weights = _compute_weights(frames, pixels)
         blocks = [
-            _Block.eliminate_pose(frame, pose, common, weight)
+            _FrameBlock.eliminate_pose(frame, pose, common, weight)
             for frame, pose, weight in zip(frames, poses, weights, strict=True)
         ]
         normal = information + sum((b.reduced for b in blocks), np.zeros_like(information))
@@ -270,7 +267,7 @@ def estimate_shared_errors(frame: AdjustedFrame, stated_covariance_m2: FloatArra
 
 
 @dataclass(frozen=True, eq=False)
-class _Block:
+class _FrameBlock:
     """One frame in the normal equations, its pose eliminated.
 
     inverse   (6, 6) of the pose's own block;  gain (6, k) change of the pose with the common
@@ -289,7 +286,7 @@ class _Block:
     @classmethod
     def eliminate_pose(
         cls, frame: AdjustedFrame, pose: Pose, common: CommonState, weights: FloatArray
-    ) -> "_Block":
+    ) -> "_FrameBlock":
         by_pose, by_common, residuals = _compute_jacobians(frame, pose, common)
         seen = weights > 0.0
         by_pose, by_common = by_pose[seen], by_common[seen]
@@ -410,7 +407,7 @@ def _compute_weights(
 
 def _add_shared_points(
     frames: Sequence[AdjustedFrame],
-    blocks: Sequence[_Block],
+    blocks: Sequence[_FrameBlock],
     covariance: FloatArray,
     weights: FloatArray | None,
 ) -> tuple[float, FloatArray]:
@@ -435,7 +432,7 @@ def _add_shared_points(
 def _propagate_shared_errors(
     frames: Sequence[AdjustedFrame],
     poses: Sequence[Pose],
-    blocks: Sequence[_Block],
+    blocks: Sequence[_FrameBlock],
     covariance: FloatArray,
 ) -> FloatArray:
     """Propagate errors along the lines of sight, common to all frames, to the covariance (k, k)."""

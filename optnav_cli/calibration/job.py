@@ -399,10 +399,7 @@ def _describe_unit(number: CommonNumber, camera: Camera) -> tuple[str, float, fl
 
 
 def write_calibration(
-    place: Path,
-    rows: Sequence[AdjustedRow],
-    result: Calibration,
-    stages: Sequence[StatedResiduals],
+    place: Path, rows: Sequence[AdjustedRow], result: Calibration, stages: Sequence[StatedResiduals]
 ) -> None:
     """Write the folder but for its manifest."""
     (place / CAMERAS).mkdir()

@@ -1,16 +1,14 @@
 """Compiled lens models: one point in the camera frame to a pixel, with derivatives.
 
-Pinhole with the Brown-Conrady distortion in OpenCV's order k1 k2 p1 p2 k3 (OpenCV documentation,
-"Camera Calibration and 3D Reconstruction"), the same with all of OpenCV's terms, and the fisheye of
-Kannala and Brandt (IEEE TPAMI 28, 2006) as OpenCV's fisheye module writes it, whose case without
-coefficients is the equidistant lens. A lens is a model number and its parameters:
+Pinhole with Brown-Conrady distortion (k1 k2 p1 p2 k3) or all of OpenCV's terms, and the fisheye of
+Kannala and Brandt (IEEE TPAMI 28, 2006), equidistant without coefficients; all as OpenCV orders
+their terms. A lens is a model number and its parameters:
 
     focal length along x px, principal point x, y px, five coefficients, limit, image circle radius
     along x px, focal length along y by that along x; of the pinhole with all terms also k4 k5 k6
     s1 s2 s3 s4, the tilt (3, 3) of the sensor and its inverse
 
-Beyond `limit` the model folds back (pinhole: squared tangent of the off-axis angle; fisheye: the
-angle itself): no pixel belongs to a ray there, so the answer is NaN.
+Beyond `limit` (pinhole: squared tangent of the off-axis angle; fisheye: angle) the answer is NaN.
 """
 
 import math
@@ -24,8 +22,7 @@ Derivatives = tuple[float, float, float, float, float, float]
 
 PINHOLE, FISHEYE, OPENCV = 0, 1, 2
 PARAMETERS = 36
-LIMIT, CIRCLE, ASPECT = 8, 9, 10
-TERMS, TILT, LEVEL = 11, 18, 27  # where k4..s4, the tilt and its inverse begin
+LIMIT, CIRCLE, ASPECT, TERMS, TILT, LEVEL = 8, 9, 10, 11, 18, 27  # where each begins
 _STEPS = 60  # bisection alone would reach the last digit within these
 # A distortion polynomial fitted to a real lens says nothing at 84 degrees from the axis.
 MAX_TANGENT = 10.0

@@ -86,10 +86,7 @@ def _parse_size(
     help="From the lens to the middle of the grid in the first picture, as measured.",
 )
 @click.option(
-    "--distance-error-mm",
-    "error_mm",
-    type=Number(1e-6, 1e9),
-    help="Its 1 sigma; 5 if left out.",
+    "--distance-error-mm", "error_mm", type=Number(1e-6, 1e9), help="Its 1 sigma; 5 if left out."
 )
 @output_option("Folder for the calibration; an earlier one in it is replaced.")
 @workers_option

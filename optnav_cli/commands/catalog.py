@@ -210,11 +210,7 @@ def compare_catalogs(
 
 
 def report_comparison(
-    first: Path,
-    second: Path,
-    progress: Progress,
-    table: Path | None = None,
-    as_json: bool = False,
+    first: Path, second: Path, progress: Progress, table: Path | None = None, as_json: bool = False
 ) -> None:
     """Print what differs. Raises DifferenceError when the content does."""
     from catalog.errors import DifferenceError

@@ -42,12 +42,7 @@ nodata_option = click.option(
 )
 @json_option
 def slopes(
-    dem: Path,
-    base_m: float,
-    body: str,
-    nodata: float | None,
-    output: Path | None,
-    as_json: bool,
+    dem: Path, base_m: float, body: str, nodata: float | None, output: Path | None, as_json: bool
 ) -> None:
     """Print the shares of the terrain model DEM above 7 deg and above 15 deg, and its rms slope.
 

@@ -19,6 +19,7 @@ from catalog.errors import NoSolutionError
 from optnav_cli.cylinder.brightness import LOBES, draw_columns
 from optnav_cli.cylinder.geometry import (
     CylinderSize,
+    IdealLens,
     compute_half_width,
     compute_psi,
     compute_surface_distance,
@@ -70,16 +71,6 @@ MAX_STEPS, SETTLED = 80, 1e-2  # of the fit, and the fall of its cost that ends 
 DAMPING, MAX_DAMPING, EASED = 1e-3, 1e7, 0.2
 OPEN = Reason(ReasonCode.DEGENERATE, "the profile leaves the angle of the light open")
 UNSETTLED = Reason(ReasonCode.NOT_SETTLED, "the fit of the profile does not settle")
-
-
-@dataclass(frozen=True)
-class IdealLens:
-    """A pinhole lens: focal lengths and principal point, px."""
-
-    focal_x_px: float
-    focal_y_px: float
-    centre_x_px: float
-    centre_y_px: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,10 +296,7 @@ def _refine(
 
 
 def _settle(
-    brightness: ProfileModel,
-    others: Sequence[CostedModel],
-    start: FloatArray,
-    nearest_m: float,
+    brightness: ProfileModel, others: Sequence[CostedModel], start: FloatArray, nearest_m: float
 ) -> Estimate[FloatArray]:
     """Fit the models by steps that are damped until they lower the cost.
 

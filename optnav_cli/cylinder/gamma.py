@@ -13,14 +13,8 @@ from scipy.special import ndtr, ndtri
 from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Coding
-from optnav_cli.cylinder.fit import (
-    DISTANCE,
-    THETA,
-    CylinderFit,
-    IdealLens,
-    fit_cylinder,
-)
-from optnav_cli.cylinder.geometry import CylinderSize
+from optnav_cli.cylinder.fit import DISTANCE, THETA, CylinderFit, fit_cylinder
+from optnav_cli.cylinder.geometry import CylinderSize, IdealLens
 from optnav_cli.cylinder.profile import CylinderProfile, measure_profile
 
 # Prior of gamma, 1 sigma: 1 of linear counts and 2.4 of screens lie inside.

@@ -130,3 +130,13 @@ def compute_grazing(theta: float) -> float:
 def load_error_sizes() -> CylinderErrorSizes:
     """Load the sizes that ship with optnav. Raises ConfigError for a wrong file."""
     return load_toml(resource(FILE), CylinderErrorSizes)
+
+
+@dataclass(frozen=True)
+class IdealLens:
+    """A pinhole lens: focal lengths and principal point, px."""
+
+    focal_x_px: float
+    focal_y_px: float
+    centre_x_px: float
+    centre_y_px: float

@@ -18,16 +18,13 @@ from catalog.files import replace_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, log_stage
 from optnav_cli.camera.camera import Camera
-from optnav_cli.cylinder.fit import CylinderFit, IdealLens, fit_cylinder
-from optnav_cli.cylinder.folder import (
-    CylinderFolder,
-    CylinderRunSettings,
-    read_cylinder_folder,
-)
+from optnav_cli.cylinder.fit import CylinderFit, fit_cylinder
+from optnav_cli.cylinder.folder import CylinderFolder, CylinderRunSettings, read_cylinder_folder
 from optnav_cli.cylinder.gamma import fit_coded_cylinder
 from optnav_cli.cylinder.geometry import (
     CRESCENT_DEG,
     CylinderSize,
+    IdealLens,
     compute_bearing,
     compute_half_width,
     compute_surface_distance,

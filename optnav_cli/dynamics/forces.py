@@ -21,11 +21,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray, IntArray
-from catalog.bodies.body import Body, GravityField, load_body
+from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import SUN_GM_M3_S2, Ephemeris, Neighbour
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import ARCSEC
-from optnav_cli.dynamics.gravity_field import named_field, oblate_field
+from optnav_cli.dynamics.gravity_field import (
+    even_field,
+    kaula_by_gravity,
+    named_field,
+    oblate_field,
+)
 from optnav_cli.dynamics.gravity_kernel import GRADIENT_DEGREE, harmonic_tables
 from optnav_cli.dynamics.orbit_integrator import (
     FOLLOWED,
@@ -45,11 +50,6 @@ LAST_DEGREE, BEYOND_FIELD = 120, 50
 SURE_DEGREE = 20
 # Whose tides count beside the Sun's.
 NEIGHBOURS: dict[str, tuple[Neighbour, ...]] = {"moon": ("earth",), "earth": ("moon",)}
-# Kaula's rule on the Earth, where it was found; elsewhere rock carries hills by the weight that
-# they have there (the same source), but a body of rubble is no more uneven than Eros.
-EARTH_KAULA = 1e-5
-EARTH_GRAVITY_M_S2 = 9.8
-MAX_KAULA = 0.1
 OBLATE = ForcesSettings(degree=2)  # what predictions between pictures need
 ACCELERATION, SUNLIGHT, THRUST = "acceleration", "srp", "thrust_"
 # Of the Moon's principal axes against its mean-Earth axes, about z, y, x in turn: DE421, as
@@ -236,23 +236,6 @@ class Forces:
         kept = sizes > 0.0
         n, sizes = n[kept], sizes[kept]
         return n, sizes, (n + 1.0) * (2.0 * n + 1.0) ** 2 * sizes**2
-
-
-def even_field(body: Body) -> GravityField:
-    """Return the field of a body's ellipsoid at even density."""
-    x, y, z = body.radii_m
-    radius = body.radius_m
-    return GravityField(
-        j2=(x**2 + y**2 - 2.0 * z**2) / (10.0 * radius**2),
-        c22=(x**2 - y**2) / (20.0 * radius**2),
-        radius_km=radius / 1e3,
-    )
-
-
-def kaula_by_gravity(body: Body) -> float:
-    """Return the constant of Kaula's rule for a body of such gravity at its surface."""
-    gravity = body.gm_m3_s2 / body.radius_m**2
-    return min(EARTH_KAULA * (EARTH_GRAVITY_M_S2 / gravity) ** 2, MAX_KAULA)
 
 
 def _principal_from_mean_earth() -> FloatArray:

@@ -21,6 +21,13 @@ from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, read_input
 from optnav_cli.dynamics.orbit_settings import MAX_DEGREE, ForcesSettings
 
+EARTH_GRAVITY_M_S2 = 9.8
+
+# Kaula's rule on the Earth, where it was found; elsewhere rock carries hills by the weight that
+# they have there (the same source), but a body of rubble is no more uneven than Eros.
+EARTH_KAULA = 1e-5
+MAX_KAULA = 0.1
+
 SHIPPED = {"moon": ("data/moon_glgm3_50.tab", 50)}  # and its degree
 MAX_FIELD_BYTES = 128 * MEGABYTE  # of degree 1200, with errors
 # A header's GM farther off is a slip of the pen or an old value: it is said and not used.
@@ -315,3 +322,20 @@ def _read_cof(lines: list[str], table: _Table) -> None:
             table.add(number, [line[6:11].strip(), line[11:14].strip(), *numbers])
     if math.isnan(table.gm):
         raise table.error(1, "no line POTFIELD")
+
+
+def even_field(body: Body) -> GravityField:
+    """Return the field of a body's ellipsoid at even density."""
+    x, y, z = body.radii_m
+    radius = body.radius_m
+    return GravityField(
+        j2=(x**2 + y**2 - 2.0 * z**2) / (10.0 * radius**2),
+        c22=(x**2 - y**2) / (20.0 * radius**2),
+        radius_km=radius / 1e3,
+    )
+
+
+def kaula_by_gravity(body: Body) -> float:
+    """Return the constant of Kaula's rule for a body of such gravity at its surface."""
+    gravity = body.gm_m3_s2 / body.radius_m**2
+    return min(EARTH_KAULA * (EARTH_GRAVITY_M_S2 / gravity) ** 2, MAX_KAULA)

@@ -6,7 +6,8 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from optnav_cli.dynamics.forces import NEIGHBOURS, Forces, even_field
+from optnav_cli.dynamics.forces import NEIGHBOURS, Forces
+from optnav_cli.dynamics.gravity_field import even_field
 from optnav_cli.dynamics.orbit_integrator import AU_M, SUNLIGHT_N_M2
 from optnav_cli.dynamics.orbit_settings import ForcesSettings, SunlightSettings
 

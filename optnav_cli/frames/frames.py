@@ -69,11 +69,7 @@ class Frame:
 
 
 def read_frames(
-    path: Path,
-    attitude: FileAttitude,
-    cameras: Mapping[str, Camera],
-    *,
-    timeless: bool = False,
+    path: Path, attitude: FileAttitude, cameras: Mapping[str, Camera], *, timeless: bool = False
 ) -> list[Frame]:
     """Frames of a frames.csv in its order; stated attitudes are turned by the camera's boresight.
 

@@ -50,14 +50,14 @@ class NavigationInputs:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class FrameOutcome:
     """A fix or why there is none, as it is kept: one of both is there."""
 
     fix: Fix | None
     no_fix: NoFix | None
 
     @classmethod
-    def of(cls, outcome: Fix | NoFix) -> "Outcome":
+    def of(cls, outcome: Fix | NoFix) -> "FrameOutcome":
         """Make the outcome of a method."""
         if isinstance(outcome, Fix):
             return cls(outcome, None)
@@ -104,10 +104,10 @@ class FrameMethods:
         )
 
     def _keep(self, question: str, outcome: Fix | NoFix) -> None:
-        self._answers[question] = pack(Outcome.of(outcome))
+        self._answers[question] = pack(FrameOutcome.of(outcome))
 
     def _read_answer(self, question: str) -> Fix | NoFix:
-        return unpack(self._answers[question], Outcome).value
+        return unpack(self._answers[question], FrameOutcome).value
 
     def _load_observation(self, inverse: bool) -> Observation:
         """Load the frame's picture; inverse: with the inverse of the stated rotation."""
@@ -178,13 +178,13 @@ class FrameRecord:
 
 def pack_row(row: Solution) -> bytes:
     """A row of solution.csv with its evidence as bytes."""
-    outcome = Outcome.of(row.outcome)
+    outcome = FrameOutcome.of(row.outcome)
     return pack((row.file, row.utc, outcome, row.prior, row.prior_m, row.attitude_source))
 
 
 def unpack_row(data: bytes) -> Solution:
     """The row that `packed_row` was given."""
-    kinds: Any = tuple[str, str, Outcome, str, FloatArray | None, str]
+    kinds: Any = tuple[str, str, FrameOutcome, str, FloatArray | None, str]
     file, utc, outcome, prior, prior_m, source = unpack(data, kinds)
     return Solution(file, utc, outcome.value, prior, prior_m, source)
 

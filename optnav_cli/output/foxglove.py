@@ -196,7 +196,7 @@ def make_pose(position_m: FloatArray, camera_from_body: Rotation) -> Message:
     return {"position": make_vector(position_m, 9), "orientation": orientation}
 
 
-class Scene:
+class RecordedScene:
     """Builder of SceneUpdate messages, with the track of each camera.
 
     cameras  names of the run's cameras, which have their colours in this order

@@ -38,8 +38,8 @@ from optnav_cli.output.foxglove import (
     PRIOR,
     REJECTED,
     Message,
+    RecordedScene,
     Rgb,
-    Scene,
     make_color,
     make_pose,
 )
@@ -140,7 +140,7 @@ class Recording(MessageLog):
         """
         super().__init__(path, about)
         self._body, self._relief = body, relief
-        self._scene = Scene(body, cameras)
+        self._scene = RecordedScene(body, cameras)
         self._made: list[tuple[str, foxglove.Schema, bytes]] = []
 
     def add_frame(

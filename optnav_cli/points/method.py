@@ -18,16 +18,7 @@ from catalog.geometry.latlon import latlon_from_xyz, wrap_longitude_deg
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.settings import Construction
 from optnav_cli.estimation.models.points import Pose, predict
-from optnav_cli.fix import (
-    Evidence,
-    Fix,
-    MatchKind,
-    MatchRow,
-    Method,
-    NoFix,
-    Solution,
-    hash_name,
-)
+from optnav_cli.fix import Evidence, Fix, MatchKind, MatchRow, Method, NoFix, Solution, hash_name
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.points import PickedPoint, locate_points
 from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
@@ -39,10 +30,7 @@ from optnav_cli.points.constructions import (
     propagate_covariance,
 )
 from optnav_cli.points.model import AttitudePrior, LensPrior, PickedSightings, is_hidden
-from optnav_cli.points.resection import (
-    PickedPose,
-    PickedResection,
-)
+from optnav_cli.points.resection import PickedPose, PickedResection, try_solve
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, describe_length
 
 PRIOR_SIGMAS = 5.0  # within which a prior decides between poses
@@ -270,7 +258,7 @@ class _FrameOfPoints:
         """Whether the mirrored ground fits, too, with fewer points beyond the horizon."""
         west = self._latlon * (1.0, -1.0)
         problem = self._build_problem(self._locate_points(west, self._heights, self._how.settings))
-        other = _try_solve(problem)
+        other = try_solve(problem)
         if other is None or not other.fits:
             return False
         return bool(
@@ -443,20 +431,13 @@ class _FrameOfPoints:
                 fitting.append(text)
         problem = self._build_problem(self._places).any_lens
         if not fitting and len(problem.points) > 4:
-            lens = _try_solve(problem)
+            lens = try_solve(problem)
             if lens is not None and lens.fits:
                 fitting.append(f"with a focal length {describe_length(lens.focal)}")
         return ", or ".join(fitting)
 
     def _is_fitting(self, problem: PickedResection) -> bool:
-        picked = _try_solve(problem)
+        picked = try_solve(problem)
         if picked is None or not picked.fits:
             return False
         return not self._is_below(picked.pose, problem.points.places_m[picked.used])
-
-
-def _try_solve(problem: PickedResection) -> PickedPose | None:
-    try:
-        return problem.solve()
-    except NoSolutionError:
-        return None

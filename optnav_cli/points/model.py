@@ -4,10 +4,12 @@ Places beyond the horizon of a body that is no sphere and has relief are told he
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
+from scipy.special import gammaincinv
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.errors import NoSolutionError
@@ -280,3 +282,14 @@ class PickedLikelihood:
         # a place from which points are out of view is none
         seen = np.isfinite(costs)
         return np.where(seen[:, None], gradients, 0.0), np.where(seen, costs, np.inf)
+
+
+@lru_cache(maxsize=256)
+def chi_square_quantile(probability: float, freedom: int) -> float:
+    """Quantile of chi-square, like scipy.stats, which takes as long to load as half of our code."""
+    return float(2.0 * gammaincinv(freedom / 2.0, probability))
+
+
+def estimate_inflation(cost: float, freedom: int) -> float:
+    """Estimate a covariance's inflation: residuals wider than one in twenty mean small sigmas."""
+    return cost / freedom if freedom > 0 and cost > chi_square_quantile(0.95, freedom) else 1.0

@@ -9,14 +9,13 @@ snooping).
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from itertools import combinations
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from scipy.special import gammaincinv
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.errors import NoSolutionError
@@ -32,6 +31,8 @@ from optnav_cli.points.model import (
     PickedLikelihood,
     PickedSightings,
     StatedAttitude,
+    chi_square_quantile,
+    estimate_inflation,
     make_lens_estimate,
     move_with_lens,
 )
@@ -81,7 +82,7 @@ class PickedPose:
     @property
     def fits(self) -> bool:
         """Whether the points agree within their sigmas, with few left out."""
-        agree = self.freedom <= 0 or self.cost < _quantile(FIT_PROBABILITY, self.freedom)
+        agree = self.freedom <= 0 or self.cost < chi_square_quantile(FIT_PROBABILITY, self.freedom)
         return agree and 1.0 - self.used.mean() <= MAX_LEFT_OUT
 
     @property
@@ -169,7 +170,7 @@ class PickedResection:
             other = self.any_lens._fit(picked.used, picked.pose, rounds=1)
         except NoSolutionError:
             return None
-        return other if picked.cost - other.cost > _quantile(FIT_PROBABILITY, 1) else None
+        return other if picked.cost - other.cost > chi_square_quantile(FIT_PROBABILITY, 1) else None
 
     def expand_over_leans(self, picked: PickedPose) -> PickedPose:
         """Widen a pose's covariance by other leans that fit the points nearly as well.
@@ -186,7 +187,7 @@ class PickedResection:
             return picked
         estimate = self._estimate(picked.used, picked.pose)
         wide = PickedLikelihood(self.camera, points, self.lens, estimate).covariance(mirror)
-        wider = wide[:6, :6] * _estimate_inflation(picked.cost, picked.freedom)
+        wider = wide[:6, :6] * estimate_inflation(picked.cost, picked.freedom)
         return replace(picked, covariance=wider)
 
     def solve_three(self) -> list[PickedPose]:
@@ -250,7 +251,7 @@ class PickedResection:
         if picked.used.all():
             return picked
         squares = self._compute_squares(picked.pose, picked.residuals_px)
-        agreeing = picked.used | (squares < _quantile(GATE_PROBABILITY, 2))
+        agreeing = picked.used | (squares < chi_square_quantile(GATE_PROBABILITY, 2))
         if (agreeing == picked.used).all():
             return picked
         try:
@@ -262,7 +263,7 @@ class PickedResection:
 
     def _fit_samples(self, best: PickedPose | None) -> PickedPose | None:
         """Fit from four points at a time, among many blunders; return the best."""
-        gate = 9.0 * _quantile(GATE_PROBABILITY, 2)
+        gate = 9.0 * chi_square_quantile(GATE_PROBABILITY, 2)
         tried: list[tuple[int, float, Pose]] = []
         for some in _draw_samples(len(self.points), self.fewest):
             used = np.zeros(len(self.points), dtype=bool)
@@ -385,9 +386,9 @@ class PickedResection:
         middle = self.lens.middle_px
         predicted = middle + state.shift_px + (1.0 + state.focal) * (pixels - middle)
         cost, freedom = estimate.cost, estimate.degrees_of_freedom
-        covariance = estimate.covariance[:6, :6] * _estimate_inflation(cost, freedom)
+        covariance = estimate.covariance[:6, :6] * estimate_inflation(cost, freedom)
         left_px = self.points.pixels - predicted
-        sigmas = np.sqrt(np.diag(estimate.covariance)[6:] * _estimate_inflation(cost, freedom))
+        sigmas = np.sqrt(np.diag(estimate.covariance)[6:] * estimate_inflation(cost, freedom))
         lens = make_lens_estimate(state, sigmas, self.lens)
         return PickedPose(state.pose, covariance, used, left_px, cost, freedom, state.focal, lens)
 
@@ -405,18 +406,7 @@ class PickedResection:
             "ni,nij,nj->n", measured.residuals, np.linalg.inv(left), measured.residuals
         )
         level = 1.0 - (1.0 - GATE_PROBABILITY) * min(1.0, 20.0 / max(int(used.sum()), 1))
-        return squares, np.full(squares.shape, _quantile(level, 2))
-
-
-@lru_cache(maxsize=256)
-def _quantile(probability: float, freedom: int) -> float:
-    """Quantile of chi-square, like scipy.stats, which takes as long to load as half of our code."""
-    return float(2.0 * gammaincinv(freedom / 2.0, probability))
-
-
-def _estimate_inflation(cost: float, freedom: int) -> float:
-    """Estimate a covariance's inflation: residuals wider than one in twenty mean small sigmas."""
-    return cost / freedom if freedom > 0 and cost > _quantile(0.95, freedom) else 1.0
+        return squares, np.full(squares.shape, chi_square_quantile(level, 2))
 
 
 def _draw_samples(count: int, size: int) -> Iterator[tuple[int, ...]]:
@@ -449,3 +439,10 @@ def _make_mirror_pose(pose: Pose, places_m: FloatArray) -> Pose:
     mirror = np.eye(3) - 2.0 * np.outer(depth, depth)
     other = mirror @ turn @ (np.eye(3) - 2.0 * np.outer(normal, normal))
     return Pose(middle - other.T @ sight, Rotation.from_matrix(other))
+
+
+def try_solve(problem: PickedResection) -> PickedPose | None:
+    try:
+        return problem.solve()
+    except NoSolutionError:
+        return None

@@ -188,12 +188,7 @@ def _build_plot(cameras: list[str], label: str, fields: tuple[str, ...]) -> Pane
 
 
 def _build_split(first: Any, second: Any, direction: str, percentage: float) -> Panel:
-    return {
-        "first": first,
-        "second": second,
-        "direction": direction,
-        "splitPercentage": percentage,
-    }
+    return {"first": first, "second": second, "direction": direction, "splitPercentage": percentage}
 
 
 def _stack_panels(panels: list[str], direction: str = "column") -> Any:

@@ -28,7 +28,7 @@ Length = Annotated[float, Meta(gt=0.0, le=1e4)]
 Angle = Annotated[float, Meta(ge=-180.0, le=180.0)]
 
 
-class SurfaceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class CylinderSurface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The strip, its light and what lies behind it.
 
     reflectance     of the cloth without gloss
@@ -53,7 +53,7 @@ def draw_cylinder(
     camera: Camera,
     size_m: tuple[float, float],
     place: tuple[float, float, float],
-    surface: SurfaceSettings,
+    surface: CylinderSurface,
     below_middle_m: float = 0.0,
 ) -> Float32Array:
     """Radiance (rows, columns) of a cylinder; 1 is the cloth lit straight.
@@ -116,7 +116,7 @@ def _box(
 
 
 def source_glare(
-    camera: Camera, axis: float, theta: float, surface: SurfaceSettings, falloff_deg: float = 4.0
+    camera: Camera, axis: float, theta: float, surface: CylinderSurface, falloff_deg: float = 4.0
 ) -> Float32Array | None:
     """The source in view and its flare (rows, columns), over the bright strip; None if it is not.
 
@@ -138,7 +138,7 @@ def source_glare(
 
 
 def _brightness(
-    psi: FloatArray, bearing: FloatArray, slope: FloatArray, theta: float, surface: SurfaceSettings
+    psi: FloatArray, bearing: FloatArray, slope: FloatArray, theta: float, surface: CylinderSurface
 ) -> FloatArray:
     """Compute brightness by psi, bearing from the axis and slope down to the points."""
     up = math.radians(surface.light_elevation_deg)
@@ -171,7 +171,7 @@ def _roughened(
     emission: FloatArray,
     turn: FloatArray,
     leave: FloatArray,
-    surface: SurfaceSettings,
+    surface: CylinderSurface,
 ) -> FloatArray | float:
     """Oren and Nayar's factor on Lambert's law; light and camera are taken to be level for it."""
     if surface.reflectance == "lambert":
@@ -212,7 +212,7 @@ class CylinderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     pictures: Count = 10
     spacing_s: Seconds = 2.0
     start_utc: str = "2026-01-01T00:00:00Z"
-    surface: SurfaceSettings = SurfaceSettings()
+    surface: CylinderSurface = CylinderSurface()
 
 
 class CylinderScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):

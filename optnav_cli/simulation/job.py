@@ -188,11 +188,7 @@ def simulate_folder(
 
 
 def _take(
-    simulation: Simulation,
-    results: ChunkResults,
-    workers: Workers,
-    place: Path,
-    progress: Progress,
+    simulation: Simulation, results: ChunkResults, workers: Workers, place: Path, progress: Progress
 ) -> None:
     """Put all pictures into a folder, those of a stopped run first."""
     numbers = [[number] for number in range(len(simulation.names))]

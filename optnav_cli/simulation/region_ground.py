@@ -23,12 +23,7 @@ from catalog.rendering.rays.ground import Ground, make_ground
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.error_model import ErrorSpectrum
-from catalog.terrain.synthetic.model_error import (
-    SLOPE_BASE_M,
-    ModelError,
-    SlopeMap,
-    map_rms_slope,
-)
+from catalog.terrain.synthetic.model_error import SLOPE_BASE_M, ModelError, SlopeMap, map_rms_slope
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation import globe_heights

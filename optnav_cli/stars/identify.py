@@ -352,11 +352,7 @@ class StarIdentifier:
         return kept, stars[nearest[kept]]
 
     def _refine(
-        self,
-        spots: StarSpots,
-        turn: Rotation,
-        scale: float,
-        match: tuple[IntArray, IntArray],
+        self, spots: StarSpots, turn: Rotation, scale: float, match: tuple[IntArray, IntArray]
     ) -> StarFix | None:
         """Refine the rotation, and with enough stars the lens, by robust least squares."""
         k1 = 0.0

@@ -167,10 +167,7 @@ def _compute_interval_s(one: Frame, other: Frame) -> float:
 
 
 def _measure_pair(
-    folder: Folder,
-    rig: Rig,
-    pair: tuple[Frame | None, Frame | None, str],
-    before: PairState | None,
+    folder: Folder, rig: Rig, pair: tuple[Frame | None, Frame | None, str], before: PairState | None
 ) -> tuple[StereoRow, PairState | None]:
     """Measure a pair: its row, and its state for the next one."""
     first, second, why = pair

@@ -18,7 +18,7 @@ from optnav_cli.cylinder.job import remove_distortion
 from optnav_cli.cylinder.profile import measure_profile
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.points.method import PickedFrames
-from optnav_cli.simulation.cylinder_scenario import SurfaceSettings, draw_cylinder
+from optnav_cli.simulation.cylinder_scenario import CylinderSurface, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
 from optnav_cli.stars.identify import StarIdentifier
@@ -117,7 +117,7 @@ def test_identification_alone(name, faintest):
 def test_a_picture_of_a_cylinder():
     """640 x 480 px; the median over angles of the light."""
     camera, size = preset_camera("lab_20deg"), CylinderSize(0.14, 0.15)
-    surface, rng = SurfaceSettings(gloss=0.15), np.random.default_rng(1)
+    surface, rng = CylinderSurface(gloss=0.15), np.random.default_rng(1)
     times = []
     for theta in sized((5, 5, 40, 75, -95, 110, -130), (40,)):
         place = 1.34, 0.0, math.radians(theta)

@@ -36,7 +36,7 @@ from optnav_cli.cylinder.job import (
 )
 from optnav_cli.cylinder.profile import measure_profile
 from optnav_cli.frames.tables import CYLINDER_TRUTH
-from optnav_cli.simulation.cylinder_scenario import CylinderScenario, SurfaceSettings, draw_cylinder
+from optnav_cli.simulation.cylinder_scenario import CylinderScenario, CylinderSurface, draw_cylinder
 from optnav_cli.simulation.job import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sections import SensorSettings
@@ -176,18 +176,18 @@ def _trial(
     return math.degrees(abs(theta)), *place, off, math.degrees(sigma[2]), distance
 
 
-def _cloth(rng: np.random.Generator) -> SurfaceSettings:
+def _cloth(rng: np.random.Generator) -> CylinderSurface:
     """What scores: Lambert's cloth with gloss, a lamp of 4 deg that stands 5 deg high."""
-    return SurfaceSettings(
+    return CylinderSurface(
         gloss=float(rng.uniform(0.05, 0.2)),
         gloss_power=float(rng.uniform(10.0, 40.0)),
         ambient=float(rng.uniform(0.02, 0.05)),
     )
 
 
-def _other_cloth(rng: np.random.Generator) -> SurfaceSettings:
+def _other_cloth(rng: np.random.Generator) -> CylinderSurface:
     """What sizes are fitted with: rough cloth, wider and narrower gloss, lamps of other widths."""
-    return SurfaceSettings(
+    return CylinderSurface(
         reflectance="oren_nayar",
         roughness_deg=float(rng.uniform(5.0, 30.0)),
         gloss=float(rng.uniform(0.0, 0.25)),
@@ -227,7 +227,7 @@ def fitted_sizes(trials: FloatArray) -> CylinderErrorSizes:
 
 
 def _circled(
-    progress: Progress, other: tuple[float, float, SurfaceSettings] | None = None, number: int = 0
+    progress: Progress, other: tuple[float, float, CylinderSurface] | None = None, number: int = 0
 ) -> Circle:
     """The shipped craft that circles, or another circle and cloth: pictures 2 s apart.
 

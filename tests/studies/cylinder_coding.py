@@ -16,11 +16,11 @@ from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.cylinder.fit import CylinderFit, IdealLens, fit_cylinder
+from optnav_cli.cylinder.fit import CylinderFit, fit_cylinder
 from optnav_cli.cylinder.gamma import fit_coded_cylinder
-from optnav_cli.cylinder.geometry import CylinderSize
+from optnav_cli.cylinder.geometry import CylinderSize, IdealLens
 from optnav_cli.cylinder.profile import measure_profile
-from optnav_cli.simulation.cylinder_scenario import SurfaceSettings, draw_cylinder
+from optnav_cli.simulation.cylinder_scenario import CylinderSurface, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
 from tests.studies.tables import Cell, rms
@@ -91,7 +91,7 @@ def coded_picture(
         focal_length_y_px=ROWS * camera.focal_length_px,
         principal_point_px=(x, ROWS * y + 0.5 * (ROWS - 1)),
     )
-    surface = SurfaceSettings(
+    surface = CylinderSurface(
         gloss=float(rng.uniform(0.05, 0.2)),
         gloss_power=float(rng.uniform(10.0, 40.0)),
         ambient=float(rng.uniform(0.02, 0.05)),

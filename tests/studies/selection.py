@@ -30,7 +30,7 @@ from catalog.pipeline.context import StageContext
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
 from catalog.selection.spacing import choose_spaced, find_peaks
-from catalog.selection.trial import Outcome
+from catalog.selection.trial import TrialOutcome
 from catalog.terrain.dem.mosaic import Mosaic
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 
@@ -96,7 +96,7 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
     points = check.check_chunk(context, render.select(context, shortlists))
     chosen = {point.id: (point.lat_deg, point.lon_deg) for point in points}
     rounds = -(-trials // (SUNS * len(grounds)))
-    outcomes: dict[str, list[Outcome]] = {
+    outcomes: dict[str, list[TrialOutcome]] = {
         name: [] for name in ("random", "one-Sun corner", "one-Sun Harris", "chosen")
     }
     name = f"selection {context.posting_m:.0f} m"
@@ -165,7 +165,7 @@ def _one_sun_harris(
 
 def _trials(
     context: StageContext, place: tuple[float, float], seed: Sequence[int]
-) -> list[Outcome]:
+) -> list[TrialOutcome]:
     """A round of trials at a place, under the circumstances of the check stage."""
     patches, relief = context.patches(*place), 3 + sum(seed)  # neighbouring rounds see other relief
     own = [*seed, len(seed)]
@@ -173,7 +173,7 @@ def _trials(
 
 
 def summarise(
-    name: str, outcomes: Sequence[Outcome], max_error_nodes: float, posting_m: float
+    name: str, outcomes: Sequence[TrialOutcome], max_error_nodes: float, posting_m: float
 ) -> Strategy:
     """Counts and intervals of a strategy's outcomes."""
     good = [o.accepted and o.distance <= max_error_nodes for o in outcomes]

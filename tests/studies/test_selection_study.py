@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from catalog.selection.trial import Outcome
+from catalog.selection.trial import TrialOutcome
 from tests.studies.selection import SelectionRow, difference, report, summarise, wilson
 
 
@@ -17,9 +17,9 @@ def test_wilson_intervals_are_those_of_scipy(successes, trials):
 
 
 def outcomes(recognised, missed, wrong=0, error=0.3):
-    good = Outcome((error, 0.0), 0.8, 0.2, True)
-    bad = Outcome((0.4, 0.1), 0.3, 0.2, False)
-    far = Outcome((9.0, 0.0), 0.6, 0.2, True)
+    good = TrialOutcome((error, 0.0), 0.8, 0.2, True)
+    bad = TrialOutcome((0.4, 0.1), 0.3, 0.2, False)
+    far = TrialOutcome((9.0, 0.0), 0.6, 0.2, True)
     return [good] * recognised + [bad] * missed + [far] * wrong
 
 

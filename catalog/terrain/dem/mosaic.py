@@ -268,7 +268,8 @@ class Mosaic:
         if self.covers_body:
             return np.ones(np.broadcast_shapes(np.shape(lat), np.shape(lon)), dtype=bool)
         sampled, shape = self._sample_points(lat, lon, posting_m or self.posting_m)
-        return np.asarray(sampled.source.reshape(shape) >= 0)
+        covered: BoolArray = sampled.source.reshape(shape) >= 0
+        return covered
 
     def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> Float32Array:
         """Heights (size, size) of a centred map grid; row 0 north, column 0 west."""

@@ -49,7 +49,7 @@ MAX_MET = 12  # faces on the way along one edge; most are its own neighbours at 
 INSIDE = 1e-3
 
 
-class Edges(NamedTuple):
+class TriangleEdges(NamedTuple):
     """Edges of faces, each side once: side s is edge s % 3 of face s // 3.
 
     open     (n,) sides without another side
@@ -64,7 +64,7 @@ class Edges(NamedTuple):
     same: BoolArray
 
 
-def find_edges(faces: IntArray) -> Edges:
+def find_edges(faces: IntArray) -> TriangleEdges:
     """The edges of faces (m, 3)."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -79,7 +79,7 @@ def find_edges(faces: IntArray) -> Edges:
     same = np.zeros(key.size, dtype=bool)
     same[a] = same[b] = start[a] == start[b]
     many = np.repeat(count, count) > 2
-    return Edges(np.sort(order[first[count == 1]]), np.sort(order[many]), other, same)
+    return TriangleEdges(np.sort(order[first[count == 1]]), np.sort(order[many]), other, same)
 
 
 @kernel
@@ -117,7 +117,7 @@ def _orient_pieces(other: IntArray, same: BoolArray, piece: IntArray, turned: Bo
     return count
 
 
-def find_pieces(edges: Edges) -> tuple[int, IntArray, BoolArray]:
+def find_pieces(edges: TriangleEdges) -> tuple[int, IntArray, BoolArray]:
     """Count a surface's pieces (-1: one-sided); also each face's piece and which faces to turn."""
     piece = np.full(edges.other.size // 3, -1, dtype=np.int64)
     turned = np.zeros(piece.size, dtype=bool)
@@ -325,7 +325,7 @@ def _drop_flat_faces(vertices: FloatArray, faces: IntArray, mended: list[str]) -
     return unique
 
 
-def _check_edges(path: Path, vertices: FloatArray, faces: IntArray, edges: Edges) -> None:
+def _check_edges(path: Path, vertices: FloatArray, faces: IntArray, edges: TriangleEdges) -> None:
     for sides, what in (
         (edges.crowded, "sides of faces meet at edges of three faces or more: surfaces touch"),
         (edges.open, "edges belong to one face only: the surface is open"),

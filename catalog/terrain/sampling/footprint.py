@@ -1,9 +1,7 @@
 """Heights of points from one level of a raster, each the mean over the point's footprint.
 
-Points are sorted to the windows that are read for them; `footprint_means` takes the means. Toward
-the poles of a cylindrical map columns lie closer. A point there reads the rows of its level with
-columns averaged two and two as often as its footprint is wide, so that two or three samples do
-wherever it lies.
+Points are sorted to the windows read for them. Toward the poles of a cylindrical map, where
+columns lie closer, columns are averaged two and two until two or three samples span a footprint.
 """
 
 from typing import NamedTuple

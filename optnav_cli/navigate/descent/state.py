@@ -256,10 +256,7 @@ class JointState:
         return [self._errors[key] for key in self.keys if isinstance(key, WindowKey)]
 
     def restore(
-        self,
-        keys: Sequence[WindowKey | int],
-        errors: Sequence[WindowError],
-        spread: WindowSpread,
+        self, keys: Sequence[WindowKey | int], errors: Sequence[WindowError], spread: WindowSpread
     ) -> None:
         """Name the points of a restored filter, those of windows with their errors."""
         self.spread = spread

@@ -141,11 +141,7 @@ class ArcMotion:
         return covariances
 
     def step(
-        self,
-        state: FloatArray,
-        from_s: float,
-        to_s: float,
-        names: Sequence[str] = (),
+        self, state: FloatArray, from_s: float, to_s: float, names: Sequence[str] = ()
     ) -> ArcStep:
         """To another time, with derivatives by force parameters of these names."""
         return self.steps(state[None], np.array([from_s, to_s]), names)[0]

@@ -98,7 +98,7 @@ def read_oem(path: Path, body: Body | str) -> Oem:
         lines = raw.decode("utf-8").splitlines()
     except UnicodeDecodeError:
         raise DataError(f"{path}: is not plain text; name a CCSDS OEM in keyword form") from None
-    reader = _Reader(path, load_body(body) if isinstance(body, str) else body)
+    reader = _OemReader(path, load_body(body) if isinstance(body, str) else body)
     for number, line in enumerate(lines, start=1):
         reader.take(number, line.strip())
     return reader.finish()
@@ -123,7 +123,7 @@ class _Block:
     covariances: list[_Covariance] = field(default_factory=list)
 
 
-class _Reader:
+class _OemReader:
     """Takes a file line by line."""
 
     def __init__(self, path: Path, body: Body) -> None:

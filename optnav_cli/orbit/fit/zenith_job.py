@@ -82,11 +82,7 @@ def write_zenith_folder(
     ZENITH_RESIDUALS.write(place / ZENITH_RESIDUALS_CSV, _residual_rows(fit))
     DISTURBANCES.write(place / DISTURBANCES_CSV, disturbance_rows(fit))
     oem = Oem(
-        dense.problem.ephemeris.body.name,
-        times,
-        rows.states,
-        fit.problem.times,
-        fit.covariances,
+        dense.problem.ephemeris.body.name, times, rows.states, fit.problem.times, fit.covariances
     )
     write_oem(place / ORBIT_OEM, oem, "CRAFT", utc_from_tdb_s(float(times[-1]), 0))
 

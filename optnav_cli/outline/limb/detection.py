@@ -296,7 +296,7 @@ EXPONENTS = (1.2, 1.43, 1.7, 2.0, 2.2)  # of light over counts: square root 2, s
 
 
 @dataclass(frozen=True, eq=False)
-class Edges:
+class LimbEdges:
     """The edges of a limb, and how counts were read for them.
 
     depth_px, sigma_px  (n,) as `locate_edges`
@@ -312,7 +312,7 @@ class Edges:
     exponent: float = 1.0
 
 
-def fit_edges(profiles: Profiles, levels: Levels, saturation: float) -> Edges:
+def fit_edges(profiles: Profiles, levels: Levels, saturation: float) -> LimbEdges:
     """Edges of profiles in counts, as these are, or decoded where the limb shows a coding.
 
     Raises NoSolutionError when no profile has an edge.
@@ -338,12 +338,12 @@ def fit_edges(profiles: Profiles, levels: Levels, saturation: float) -> Edges:
 
 def _fit_exponent(
     profiles: Profiles, levels: Levels, saturation: float, exponent: float
-) -> tuple[Edges, float]:
+) -> tuple[LimbEdges, float]:
     """Edges of profiles, and the size of the pattern that their model leaves."""
     shape = fit_common_shape(profiles, levels, saturation)
     depth, sigma = locate_edges(profiles, shape, levels, saturation)
     inside, residuals = compute_edge_residuals(profiles, shape, levels, saturation)
-    edges = Edges(depth, sigma, shape, levels, exponent)
+    edges = LimbEdges(depth, sigma, shape, levels, exponent)
     return edges, _measure_pattern(inside, residuals)
 
 

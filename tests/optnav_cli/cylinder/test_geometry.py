@@ -8,9 +8,10 @@ import pytest
 
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.cylinder.fit import HeightModel, IdealLens, ProfileModel, fit_cylinder
+from optnav_cli.cylinder.fit import HeightModel, ProfileModel, fit_cylinder
 from optnav_cli.cylinder.geometry import (
     CylinderSize,
+    IdealLens,
     compute_bearing,
     compute_half_width,
     compute_psi,
@@ -19,7 +20,7 @@ from optnav_cli.cylinder.geometry import (
     solve_printed_formulas,
 )
 from optnav_cli.cylinder.profile import measure_printed_extent, measure_profile
-from optnav_cli.simulation.cylinder_scenario import SurfaceSettings, draw_cylinder
+from optnav_cli.simulation.cylinder_scenario import CylinderSurface, draw_cylinder
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
 
@@ -31,7 +32,7 @@ SIZE = CylinderSize(RADIUS, HEIGHT)
 
 def seen(distance: float, bearing: float, theta_deg: float, seed: int = 1) -> np.ndarray:
     """A picture of rough, glossy cloth under a wide source 5 degrees high: none is in the fit."""
-    surface = SurfaceSettings(
+    surface = CylinderSurface(
         reflectance="oren_nayar", gloss=0.15, gloss_power=15.0, ambient=0.03, background=0.0
     )
     place = distance, bearing, math.radians(theta_deg)
@@ -117,7 +118,7 @@ def test_a_fit_does_not_stay_in_a_minimum_of_unlikely_cloth(theta: float, seed: 
 
 
 def test_only_the_part_of_a_picture_that_shows_the_strip_is_drawn() -> None:
-    surface = SurfaceSettings(background=0.01)
+    surface = CylinderSurface(background=0.01)
     place = 2.0, 0.05, 0.6
     drawn = draw_cylinder(CAMERA, (RADIUS, HEIGHT), place, surface)
     wide = Camera("wide", "pinhole", 480, 240, 907.5, (239.5, 119.5))
@@ -190,7 +191,7 @@ def test_a_sphere_is_not_taken_for_a_cylinder() -> None:
 @pytest.mark.parametrize("gloss", [0.0, 0.3])
 def test_gloss_on_the_middle_of_the_strip_leaves_its_height_alone(gloss: float) -> None:
     """Against half the middle's brightness the ends of a glossy strip lie 0.05 px inside."""
-    surface = SurfaceSettings(gloss=gloss, gloss_power=30.0, light_elevation_deg=0.0)
+    surface = CylinderSurface(gloss=gloss, gloss_power=30.0, light_elevation_deg=0.0)
     off = []
     for step in range(8):  # the phase of the pixels
         distance = 1.2 + 0.013 * step

@@ -11,7 +11,8 @@ from scipy.integrate import solve_ivp
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from optnav_cli.dynamics.arc import OrbitArc, TimedPosition
-from optnav_cli.dynamics.forces import Forces, OrbitMotion, even_field, kaula_by_gravity
+from optnav_cli.dynamics.forces import Forces, OrbitMotion
+from optnav_cli.dynamics.gravity_field import even_field, kaula_by_gravity
 from optnav_cli.simulation.inertial_path import Approach, approach_states
 from optnav_cli.simulation.scenario import load_scenario
 

@@ -10,7 +10,7 @@ from catalog.bodies.body import load_body
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow
-from optnav_cli.output.foxglove import BODY_SCALE, CAMERA_COLOURS, MAX_TRACK, Scene
+from optnav_cli.output.foxglove import BODY_SCALE, CAMERA_COLOURS, MAX_TRACK, RecordedScene
 from tests.optnav_cli.rows import solved, unsolved
 
 MOON = load_body("moon")
@@ -36,7 +36,7 @@ def places(primitive):
 
 def test_a_body_without_relief_is_its_ellipsoid():
     phobos = load_body("phobos")
-    (sphere,) = entity(Scene(phobos).body(STAMP, None), "body")["spheres"]
+    (sphere,) = entity(RecordedScene(phobos).body(STAMP, None), "body")["spheres"]
     size = np.array(list(sphere["size"].values()))
     np.testing.assert_allclose(size, 2.0 * BODY_SCALE * np.array(phobos.radii_m), atol=1e-3)
 
@@ -45,7 +45,7 @@ def test_the_relief_of_a_body_is_a_closed_surface_that_faces_outward():
     lat = np.linspace(1.0, -1.0, 40)[:, None] * np.ones((1, 80))
     heights = (3000.0 * lat).astype(np.float32)  # the north is higher
     relief = GlobalRelief(heights, heights, MOON.radius_m, "made up")
-    (mesh,) = entity(Scene(MOON).body(STAMP, relief), "body")["triangles"]
+    (mesh,) = entity(RecordedScene(MOON).body(STAMP, relief), "body")["triangles"]
     points, triangles = places(mesh), np.array(mesh["indices"]).reshape(-1, 3)
     assert len(mesh["colors"]) == len(points)
     a, b, c = points[triangles].transpose(1, 0, 2)
@@ -58,7 +58,7 @@ def test_the_relief_of_a_body_is_a_closed_surface_that_faces_outward():
 
 
 def test_a_pose_has_its_frustum_its_ellipsoid_and_its_prior():
-    scene = Scene(MOON)
+    scene = RecordedScene(MOON)
     solution = replace(a_solution(), prior_m=PLACE + [4000.0, 0.0, 0.0])
     update = scene.camera(STAMP, 0, "unk", solution, CAMERA)
     pose = entity(update, "pose")
@@ -80,7 +80,7 @@ def test_the_axes_of_the_ellipsoid_are_those_of_the_covariance():
     matrix = turn.as_matrix()
     covariance = matrix @ np.diag([1.0, 100.0, 1e4]) @ matrix.T
     pose = entity(
-        Scene(MOON).camera(STAMP, 0, "unk", a_solution(covariance=covariance), None), "pose"
+        RecordedScene(MOON).camera(STAMP, 0, "unk", a_solution(covariance=covariance), None), "pose"
     )
     ellipsoid = pose["spheres"][1]
     q = ellipsoid["pose"]["orientation"]
@@ -90,7 +90,7 @@ def test_the_axes_of_the_ellipsoid_are_those_of_the_covariance():
 
 
 def test_an_unsolved_frame_shows_no_pose_and_every_update_replaces_the_one_before():
-    scene = Scene(MOON)
+    scene = RecordedScene(MOON)
     scene.camera(STAMP, 0, "unk", a_solution(), CAMERA)
     update = scene.camera(STAMP, MINUTE, "unk", unsolved("b.png", "", "dark"), CAMERA)
     assert [e["id"] for e in update["entities"]] == ["track"]
@@ -98,7 +98,7 @@ def test_an_unsolved_frame_shows_no_pose_and_every_update_replaces_the_one_befor
 
 
 def test_a_track_is_cut_at_pauses_and_thinned_when_it_is_long():
-    scene = Scene(MOON)
+    scene = RecordedScene(MOON)
     for number in range(6):
         time = number * MINUTE + (30 * MINUTE if number > 2 else 0)
         update = scene.camera(STAMP, time, "unk", a_solution(PLACE + number), CAMERA)
@@ -110,7 +110,7 @@ def test_a_track_is_cut_at_pauses_and_thinned_when_it_is_long():
 
 
 def test_each_camera_has_its_colour_by_its_place_in_the_run():
-    scene = Scene(MOON, ["wide", "unk"])
+    scene = RecordedScene(MOON, ["wide", "unk"])
     for name, number in (("unk", 1), ("wide", 0)):
         pose = entity(scene.camera(STAMP, 0, name, a_solution(), CAMERA), "pose")
         colour = pose["spheres"][0]["color"]
@@ -124,7 +124,7 @@ def test_points_are_coloured_by_what_became_of_them():
         MatchRow("a.png", 2, 0, point[1], pixel, pixel),
         MatchRow("a.png", 3, 0, point[2], pixel),
     ]
-    update = Scene(MOON).points(STAMP, a_solution(), matches)
+    update = RecordedScene(MOON).points(STAMP, a_solution(), matches)
     spheres = entity(update, "points")["spheres"]
     assert len({tuple(sphere["color"].values()) for sphere in spheres}) == 3
     (line,) = entity(update, "points")["lines"]  # from the camera to the one that is used
