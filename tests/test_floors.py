@@ -19,6 +19,7 @@ FLOORS = (
     {"catalog.inputs", "catalog.keywords", "catalog.special_values"},
     {"catalog.places"},
     {"catalog.config", "catalog.progress", "catalog.files", "catalog.cache", "catalog.geometry"},
+    {"catalog.raster_files"},
     {"catalog.rasters"},
     {"catalog.bodies", "catalog.tables"},
     {"catalog.terrain", "catalog.photometry", "catalog.control_point"},
