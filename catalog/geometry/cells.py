@@ -64,7 +64,8 @@ class CellGrid:
         count = self.cells_in_band[band]
         turn = (wrap_longitude_deg(lon_deg) + 180.0) / 360.0
         column = np.minimum((turn * count).astype(np.int64), count - 1)
-        return np.asarray(self.first_cell[band] + column)
+        number: IntArray = self.first_cell[band] + column
+        return number
 
     def find_band(self, cell: int) -> int:
         """Latitude band of a cell number."""

@@ -26,9 +26,8 @@ from optnav_cli.output.canvas import encode_picture
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.run_folder import CAMERAS, FRAMES, OVERLAYS
-from optnav_cli.stars.identify import StarFix, StarIdentifier
+from optnav_cli.stars.identify import SkyView, StarFix, StarIdentifier
 from optnav_cli.stars.page import ATTITUDES_CSV, STARS_KIND, draw_stars
-from optnav_cli.stars.sky import SkyView
 from optnav_cli.stars.spots import StarSpots, find_spots
 
 STAGE = "stars"

@@ -24,8 +24,7 @@ from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import Truth, read_truth
 from optnav_cli.simulation.passes import Scenario
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.stars.identify import StarFix, StarIdentifier
-from optnav_cli.stars.sky import SkyView
+from optnav_cli.stars.identify import SkyView, StarFix, StarIdentifier
 from optnav_cli.stars.spots import MAX_SPOTS, StarSpots, find_spots
 from tests.studies import flights
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms
