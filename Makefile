@@ -19,6 +19,8 @@ CASE ?=
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 # Tests start hundreds of processes, and each would compile the modules where no byte code is kept.
 BYTE_CODE := -m compileall -q catalog optnav_cli
+# The processes that run tests share that of the tests; tests/conftest.py says how.
+KEEP_BYTE_CODE := PYTHONDONTWRITEBYTECODE=
 # With threads of its own in each of these, products of small matrices take four times as long.
 ONE_THREAD := OPENBLAS_NUM_THREADS=1
 
@@ -60,7 +62,7 @@ types: $(READY) ## types alone
 
 tests: $(READY) ## tests alone (ARGS="-k nearest -x" is handed to pytest; -n 0: one process)
 	@$(BIN)/python $(BYTE_CODE)
-	$(ONE_THREAD) $(BIN)/python -m pytest $(PARALLEL) $(ARGS)
+	$(KEEP_BYTE_CODE) $(ONE_THREAD) $(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 fuzz: $(READY) ## hostile inputs (N=500 SEED=1; one of them again: CASE=kind:seed; KINDS=map,import)
 	$(BIN)/python -m tests.fuzz -n $(N) --seed $(SEED) --kinds "$(KINDS)" --case "$(CASE)" $(ARGS)
