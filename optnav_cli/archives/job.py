@@ -3,16 +3,14 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from catalog.bodies.body import is_body_file, load_body
 from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.kernels import KernelSet
 from catalog.config import nearest_name, resource
 from catalog.errors import ConfigError, DataError, UsageError
-from catalog.files import replace_folder
-from catalog.places import check_apart
 from optnav_cli.archives.frame import NINE_IDENTITY, FrameMaker, ImportTable, load_table
 from optnav_cli.archives.geometry_check import check_import
 from optnav_cli.archives.isis_camera import CubeCamera, crop_camera, read_cube_camera
@@ -26,7 +24,7 @@ from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
-from optnav_cli.output.manifest import hash_files, write_manifest
+from optnav_cli.output.manifest import hash_files, output_folder
 
 MIN_CUT = 8  # letters of a target's name that is cut
 MIN_WITHIN = 4  # of a name inside a word, as in "433eros": "io" is in "dione"
@@ -92,28 +90,21 @@ def import_folder(
         raise UsageError(
             f"{len(options.pictures)} pictures for {len(files)} files; name one --picture a file"
         )
-    started = datetime.now(UTC)
-    check_apart(output, [*files, *options.pictures, *options.kernels])
-    with replace_folder(output, KIND) as new:
-        importer = _Importer(options, new)
+    sources = [*files, *options.pictures, *options.kernels]
+    with output_folder(output, KIND, "import", sources, "import") as out:
+        importer = _Importer(options, out.path)
         for number, path in enumerate(files):
             named = options.pictures[number] if options.pictures else None
             importer.add(path, named)
         imported = importer.finish(output)
-        write_manifest(
-            new,
-            KIND,
-            command="import",
-            options={"table": options.table, "camera": options.camera, "body": options.body},
-            inputs=_hash_inputs(files),
-            results={"quaternions": "camera_from_body", "frames": len(imported.frames)},
-            started=started,
-        )
+        out.options = {"table": options.table, "camera": options.camera, "body": options.body}
+        out.inputs = _hash_inputs(files)
+        out.results = {"quaternions": "camera_from_body", "frames": len(imported.frames)}
     return imported
 
 
-def _hash_inputs(files: Sequence[Path]) -> dict[str, str | None]:
-    hashes: dict[str, str | None] = {}
+def _hash_inputs(files: Sequence[Path]) -> dict[str, Any]:
+    hashes: dict[str, Any] = {}
     for path in files:
         hashes |= hash_files(path.parent, [path.name])
     return hashes

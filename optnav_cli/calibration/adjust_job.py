@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,9 +10,8 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
-from catalog.files import MANIFEST, replace_folder
+from catalog.files import MANIFEST
 from catalog.geometry.vectors import ARCSEC
-from catalog.places import check_apart
 from optnav_cli.calibration.adjusted_folder import (
     MIN_MATCHES,
     AdjustedRow,
@@ -36,7 +34,7 @@ from optnav_cli.estimation.robust import STATED_DEGREES_OF_FREEDOM
 from optnav_cli.fix import MatchRow, Method, Solution
 from optnav_cli.frames.folder import read_cameras
 from optnav_cli.frames.frames import Frame, read_frames
-from optnav_cli.output.manifest import hash_files, read_manifest, write_manifest
+from optnav_cli.output.manifest import hash_files, output_folder, read_manifest
 from optnav_cli.output.run_folder import CAMERAS, FRAMES, MATCHES, SOLUTION, RunFolder, read_run
 from optnav_cli.reasons import ReasonCode
 
@@ -67,53 +65,40 @@ def adjust_runs(
     Raises DataError for runs that do not belong together, NothingToDoError without a frame to
     adjust, NoSolutionError when the frames leave something open.
     """
-    started = datetime.now(UTC)
-    check_apart(output, runs)
-    read = [read_run(path) for path in runs]
-    first = read[0]
-    _check_together(read, kinds)
-    cameras = _read_all_cameras(read)
-    rows = collect_rows(read, cameras)
-    if Common.BORESIGHT in kinds or Common.BODY_ROTATION in kinds:
-        rows = [_subtract_common_sigma(row) for row in rows]
-    rows = [_replace_sigmas(row, scatter) for row in rows]
-    frames = [row.adjusted for row in rows if row.adjusted is not None]
-    if not frames:
-        raise NothingToDoError(
-            f"{', '.join(map(str, runs))}: no frame is solved by {MIN_MATCHES} or more control "
-            "points, so there is nothing to adjust; navigate with a catalog first"
+    with output_folder(output, KIND, "adjust", runs, "adjust") as out:
+        read = [read_run(path) for path in runs]
+        first = read[0]
+        _check_together(read, kinds)
+        cameras = _read_all_cameras(read)
+        rows = collect_rows(read, cameras)
+        if Common.BORESIGHT in kinds or Common.BODY_ROTATION in kinds:
+            rows = [_subtract_common_sigma(row) for row in rows]
+        rows = [_replace_sigmas(row, scatter) for row in rows]
+        frames = [row.adjusted for row in rows if row.adjusted is not None]
+        if not frames:
+            raise NothingToDoError(
+                f"{', '.join(map(str, runs))}: no frame is solved by {MIN_MATCHES} or more control "
+                "points, so there is nothing to adjust; navigate with a catalog first"
+            )
+        names = sorted({frame.camera.name for frame in frames})
+        numbers = common_numbers(kinds, names, first.attitude.body.radius_m)
+        adjustment = adjust(frames, numbers)
+        focal_px = {camera.name: camera.focal_length_px for camera in cameras.values()}
+        stages = [compute_stated_residuals(frame, adjustment.common) for frame in frames]
+        result = AdjustedRuns(
+            adjustment,
+            len(frames),
+            cameras,
+            _compute_stage_rms(adjustment, stages),
+            _compute_misfit(frames, adjustment, stages, focal_px),
         )
-    names = sorted({frame.camera.name for frame in frames})
-    numbers = common_numbers(kinds, names, first.attitude.body.radius_m)
-    adjustment = adjust(frames, numbers)
-    focal_px = {camera.name: camera.focal_length_px for camera in cameras.values()}
-    stages = [compute_stated_residuals(frame, adjustment.common) for frame in frames]
-    result = AdjustedRuns(
-        adjustment,
-        len(frames),
-        cameras,
-        _compute_stage_rms(adjustment, stages),
-        _compute_misfit(frames, adjustment, stages, focal_px),
-    )
-    with replace_folder(output, KIND) as work:
-        write_adjusted(work, first, rows, cameras, result, stages)
-        write_manifest(
-            work,
-            KIND,
-            command="adjust",
-            options={"solve": [kind.value for kind in kinds], **scatter._asdict()},
-            inputs={
-                "runs": [
-                    {
-                        "path": str(path),
-                        "files_sha256": hash_files(path, [SOLUTION, MATCHES, FRAMES]),
-                    }
-                    for path in runs
-                ]
-            },
-            results={"frames": len(rows), "adjusted": len(frames)},
-            started=started,
-        )
+        write_adjusted(out.path, first, rows, cameras, result, stages)
+        out.options = {"solve": [kind.value for kind in kinds], **scatter._asdict()}
+        files = [SOLUTION, MATCHES, FRAMES]
+        out.inputs = {
+            "runs": [{"path": str(path), "files_sha256": hash_files(path, files)} for path in runs]
+        }
+        out.results = {"frames": len(rows), "adjusted": len(frames)}
     return result
 
 

@@ -3,16 +3,14 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
-from catalog.files import hash_file, replace_folder
-from catalog.places import check_apart
-from catalog.progress import Progress, log_stage
+from catalog.files import hash_file
+from catalog.progress import Progress
 from optnav_cli.calibration.dots import GridDots, Pattern, find_grid
 from optnav_cli.calibration.grid_calibration import (
     GridCalibration,
@@ -27,7 +25,7 @@ from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.tables import CALIBRATION_RESIDUALS
-from optnav_cli.output.manifest import write_manifest
+from optnav_cli.output.manifest import output_folder
 from optnav_cli.output.run_folder import CAMERAS
 from optnav_cli.output.wording import align_table, format_json
 
@@ -180,9 +178,7 @@ def calibrate_grid(
     distance; NothingToDoError where none shows a grid, NoSolutionError where they leave the focal
     length open.
     """
-    started = datetime.now(UTC)
-    check_apart(output, list(given.pictures))
-    with log_stage(STAGE):
+    with output_folder(output, KIND, "calibrate", given.pictures, STAGE) as out:
         files, dots, skipped, blank = [], [], [], None
         with progress.stage(STAGE, len(given.pictures), "picture") as bar:
             for path in given.pictures:
@@ -209,27 +205,17 @@ def calibrate_grid(
         calibration = calibrate_by_grids(blank, views, given.spacing_mm, kinds, distance)
         _check_distance(calibration, blank, views, given, kinds)
         result = GridResult(calibration, tuple(files), tuple(dots), tuple(skipped))
-        with replace_folder(output, KIND) as work:
-            _write(work, result)
-            write_manifest(
-                work,
-                KIND,
-                command="calibrate",
-                options={
-                    "solve": [kind.value for kind in kinds],
-                    "grid_spacing_mm": given.spacing_mm,
-                    "grid": given.size,
-                    "pattern": given.pattern,
-                    "distance_mm": given.distance.value_mm if given.distance else None,
-                },
-                inputs={
-                    "pictures": [
-                        {"path": path, "sha256": hash_file(path)} for path in given.pictures
-                    ]
-                },
-                results={"frames": len(files), "matches": sum(len(dot.pixels) for dot in dots)},
-                started=started,
-            )
+        _write(out.path, result)
+        out.options = {
+            "solve": [kind.value for kind in kinds],
+            "grid_spacing_mm": given.spacing_mm,
+            "grid": given.size,
+            "pattern": given.pattern,
+            "distance_mm": given.distance.value_mm if given.distance else None,
+        }
+        hashed = [{"path": path, "sha256": hash_file(path)} for path in given.pictures]
+        out.inputs = {"pictures": hashed}
+        out.results = {"frames": len(files), "matches": sum(len(dot.pixels) for dot in dots)}
     return result
 
 

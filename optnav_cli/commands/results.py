@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from optnav_cli.console import ConsoleProgress, pass_progress
 from optnav_cli.options import (
     PATH,
     Number,
@@ -154,8 +155,19 @@ def _evaluate_pads(folder: Path, truth: Path, as_json: bool, limit: float | None
 
 @click.command("export", cls=OptnavCommand)
 @path_argument("run")
-@output_option("The layers, a GeoPackage (.gpkg); an earlier export is replaced.", (".gpkg", ""))
-def export(run: Path, output: Path) -> None:
+@output_option(
+    "The layers, a GeoPackage (.gpkg), or with --ortho a folder; an earlier one is replaced.",
+    (".gpkg", ""),
+)
+@click.option("--ortho", is_flag=True, help="Lay the solved pictures on the ground of --dem.")
+@click.option("--dem", type=PATH, help="Heights for --ortho: a terrain model of the ground.")
+@click.option(
+    "--dem-sigma-m", type=LIMIT, help="1 sigma of these heights, m; counts where a view is oblique."
+)
+@click.option("--posting-m", type=LIMIT, help="Pixel of the maps, m; as fine as the pictures.")
+@click.option("--pictures", type=PATH, help="The picture folder, where it is not in its old place.")
+@pass_progress
+def export(progress: ConsoleProgress, /, run: Path, output: Path, **given: Any) -> None:
     """Write RUN as layers on the body's own coordinate system, which QGIS and GDAL open.
 
     camera_track is a line below each camera; camera_positions has a point for each frame, with its
@@ -163,10 +175,19 @@ def export(run: Path, output: Path) -> None:
     matched_points the control points that were tried. Of a run of `stars` the boresights on the
     sky, of `cylinder` the camera's places about its axis.
 
+    With --ortho a folder of GeoTIFFs, one a solved frame: its counts on a map, and how far off each
+    place is, 1 sigma in m; ortho.csv lists them.
+
     \b
     Example:
       optnav export run -o run.gpkg
+      optnav export run --ortho --dem moon.tif -o maps
     """
+    if given.pop("ortho"):
+        _export_ortho(run, output, given, progress)
+        return
+    if named := [f"--{name.replace('_', '-')}" for name, value in given.items() if value]:
+        raise click.UsageError(f"{', '.join(named)}: for --ortho, which is not there")
     from catalog.files import is_made_by_optnav
     from optnav_cli.navigate.gis_layers import export_run
     from optnav_cli.output.run_folder import read_run
@@ -179,6 +200,27 @@ def export(run: Path, output: Path) -> None:
     else:
         counts = export_run(read_run(run), output)
     click.echo(f"{output}: {', '.join(f'{name} {count}' for name, count in counts.items())}")
+
+
+def _export_ortho(
+    run: Path, output: Path, given: dict[str, Any], progress: ConsoleProgress
+) -> None:
+    from optnav_cli.navigate.orthophoto import OrthoSettings, export_orthophotos
+    from optnav_cli.output.run_folder import read_run
+
+    if given["dem"] is None:
+        raise click.UsageError("--ortho: wants --dem, the terrain model of the ground")
+    if output.suffix:
+        raise click.UsageError(f"--ortho: makes a folder; '{output.name}' is the name of a file")
+    settings = OrthoSettings(
+        given["dem"], given["dem_sigma_m"] or 0.0, given["posting_m"], given["pictures"]
+    )
+    rows = export_orthophotos(read_run(run), settings, output, progress)
+    made = [row for row in rows if row["status"] == "solved"]
+    click.echo(f"{output}: {len(made)} of {len(rows)} frames laid out")
+    for row in rows:
+        if row["status"] != "solved":
+            click.echo(f"{row['file']}: {row['reason']}")
 
 
 @click.command("report", cls=OptnavCommand)

@@ -4,7 +4,6 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
@@ -13,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
-from catalog.errors import DataError, NoSolutionError, NothingToDoError
-from catalog.files import replace_folder
-from catalog.places import check_apart
-from catalog.progress import Progress, log_stage
+from catalog.errors import DataError, NoSolutionError
+from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.cylinder.fit import CylinderFit, fit_cylinder
 from optnav_cli.cylinder.folder import CylinderFolder, CylinderRunSettings, read_cylinder_folder
@@ -45,7 +42,7 @@ from optnav_cli.output.canvas import (
     scale_to_eight_bits,
     shade_picture,
 )
-from optnav_cli.output.manifest import hash_files, write_manifest
+from optnav_cli.output.manifest import hash_files, output_folder
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.wording import align_table
 from optnav_cli.reasons import ReasonCode
@@ -145,42 +142,30 @@ def measure_cylinder_folder(
     Raises ConfigError for a wrong run.toml or camera, DataError for a folder that cannot be used,
     NothingToDoError, after the output is written, when no picture gives a distance.
     """
-    started = datetime.now(UTC)
-    check_apart(output, [folder])
-    with log_stage(STAGE):
+    with output_folder(output, CYLINDER_KIND, "cylinder", [folder], STAGE) as out:
         read = read_cylinder_folder(folder)
-        with replace_folder(output, CYLINDER_KIND) as work:
-            (work / "overlays").mkdir()
-            rows = []
-            with progress.stage(STAGE, len(read.frames), "picture") as bar:
-                for frame in read.frames:
-                    rows.append(_measure(read, frame, formula, work))
-                    bar.advance()
-            if formula == "fit":
-                rows = add_velocities(rows)
-            CYLINDER.write(work / CYLINDER_CSV, (row.cells() for row in rows))
-            (work / "cylinder.svg").write_text(
-                draw_cylinder_sheet(work, read.settings.radius_m), encoding="utf-8"
-            )
-            solved = sum(row.d_m is not None for row in rows)
-            write_manifest(
-                work,
-                CYLINDER_KIND,
-                command="cylinder",
-                options={"formula": formula},
-                inputs={
-                    "folder": folder,
-                    "radius_m": read.settings.radius_m,
-                    "pictures_sha256": hash_files(folder, [f.file for f in read.frames]),
-                },
-                results={"pictures": len(rows), "solved": solved},
-                started=started,
-            )
-    _remark_on_gamma(read, rows)
-    if not solved:
-        raise NothingToDoError(
-            f"{folder}: no picture gives a distance; the first says: {rows[0].reason}"
-        )
+        (out.path / "overlays").mkdir()
+        rows = []
+        with progress.stage(STAGE, len(read.frames), "picture") as bar:
+            for frame in read.frames:
+                rows.append(_measure(read, frame, formula, out.path))
+                bar.advance()
+        if formula == "fit":
+            rows = add_velocities(rows)
+        CYLINDER.write(out.path / CYLINDER_CSV, (row.cells() for row in rows))
+        sheet = draw_cylinder_sheet(out.path, read.settings.radius_m)
+        (out.path / "cylinder.svg").write_text(sheet, encoding="utf-8")
+        out.options = {"formula": formula}
+        out.inputs = {
+            "folder": folder,
+            "radius_m": read.settings.radius_m,
+            "pictures_sha256": hash_files(folder, [f.file for f in read.frames]),
+        }
+        solved = sum(row.d_m is not None for row in rows)
+        out.results = {"pictures": len(rows), "solved": solved}
+        _remark_on_gamma(read, rows)
+        if not solved:
+            out.failure = f"{folder}: no picture gives a distance; the first says: {rows[0].reason}"
     return rows
 
 

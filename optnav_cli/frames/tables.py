@@ -311,6 +311,21 @@ HEIGHTS = CsvTable(
     )
 )
 
+ORTHO = CsvTable(
+    (
+        FILE,
+        STATUS,
+        text("ortho", "its map, a GeoTIFF: counts, and horizontal 1 sigma in m", empty=True),
+        number("lat_deg", "planetocentric latitude of the map's centre", "deg", "z.9f"),
+        number("lon_deg", "its longitude, -180 to 180, east positive", "deg", "z.9f"),
+        number("posting_m", "size of a map pixel", "m", "z.4f"),
+        number("covered", "share of map pixels with a value", "", "z.4f"),
+        number("sigma_median_m", "1 sigma a horizontal axis, median", "m", "z.4f"),
+        number("sigma_max_m", "the same, largest", "m", "z.4f"),
+        REASON,
+    )
+)
+
 JUDGED_PADS = CsvTable(
     (
         FILE,

@@ -10,24 +10,27 @@ import platform
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from catalog.errors import DataError
+from catalog.errors import DataError, NothingToDoError
 from catalog.files import (
     MADE_BY,
     MANIFEST,
     MAX_MANIFEST_BYTES,
     check_folder,
     hash_file,
+    replace_folder,
     write_work_file,
 )
 from catalog.inputs import read_input
 from catalog.jobs.workspace import LIBRARIES as OF_THE_CATALOG
 from catalog.jobs.workspace import Workspace
-from catalog.places import hidden_sibling, lock_output
+from catalog.places import check_apart, hidden_sibling, lock_output
+from catalog.progress import log_stage
 
 FORMAT = 1
 LIBRARIES = (*OF_THE_CATALOG, "msgspec", "mcap", "pyerfa")
@@ -94,6 +97,51 @@ def write_manifest(
     )
     # not every name of a file is text: what is none is written as "?"
     write_work_file(folder / MANIFEST, f"{text}\n".encode("utf-8", "replace"))
+
+
+@dataclass
+class OutputFolder:
+    """An output folder while it is filled: `path`, and what its manifest will say.
+
+    options  settings of the command, plain JSON values or paths
+    inputs   what went in: paths with hashes and digests;  results  a few figures of the outcome
+    failure  why the folder, though written, answers nothing; raised once it is in place
+    """
+
+    path: Path
+    options: dict[str, Any] = field(default_factory=dict)
+    inputs: dict[str, Any] = field(default_factory=dict)
+    results: dict[str, Any] = field(default_factory=dict)
+    failure: str = ""
+
+
+@contextmanager
+def output_folder(
+    output: Path, kind: str, command: str, sources: Iterable[Path], stage: str
+) -> Iterator[OutputFolder]:
+    """Give an output folder to fill; it takes its place, with its manifest, when all went well.
+
+    output   where it shall be: free, empty, or an older output of this kind, which it replaces
+    sources  files and folders that are read: the output must not replace them
+    stage    the name of the work in the log
+    Raises OutputError for a place that cannot be used, NothingToDoError with `failure`.
+    """
+    started = datetime.now(UTC)
+    check_apart(output, sources)
+    with log_stage(stage), replace_folder(output, kind) as path:
+        out = OutputFolder(path)
+        yield out
+        write_manifest(
+            path,
+            kind,
+            command=command,
+            options=out.options,
+            inputs=out.inputs,
+            started=started,
+            results=out.results,
+        )
+    if out.failure:
+        raise NothingToDoError(out.failure)
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +9,10 @@ import numpy as np
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.stars import BrightStars, load_bright_stars, read_star_catalog
-from catalog.errors import DataError, NoSolutionError, NothingToDoError
-from catalog.files import hash_file, replace_folder
+from catalog.errors import DataError, NoSolutionError
+from catalog.files import hash_file
 from catalog.geometry.vectors import ARCSEC, quaternion_from_rotation
-from catalog.places import check_apart
-from catalog.progress import Progress, log_stage
+from catalog.progress import Progress
 from catalog.tables import CsvRow
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import read_cameras
@@ -23,7 +21,7 @@ from optnav_cli.frames.picture import load_frame_picture
 from optnav_cli.frames.run_settings import RUN_TOML, read_run_settings
 from optnav_cli.frames.tables import ATTITUDES, POSITION, QUATERNION, STAR_FRAMES
 from optnav_cli.output.canvas import encode_picture
-from optnav_cli.output.manifest import hash_files, write_manifest
+from optnav_cli.output.manifest import hash_files, output_folder
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.run_folder import CAMERAS, FRAMES, OVERLAYS
 from optnav_cli.stars.identify import SkyView, StarFix, StarIdentifier
@@ -102,36 +100,29 @@ def solve_star_folder(
     Raises ConfigError or DataError for a folder that cannot be used, NothingToDoError, after the
     output is written, when no picture gives an attitude.
     """
-    started = datetime.now(UTC)
-    check_apart(output, [folder])
-    with log_stage(STAGE):
+    with output_folder(output, STARS_KIND, "stars", [folder], STAGE) as out:
         body = _read_body(folder)
         stars = load_bright_stars() if catalogue is None else read_star_catalog(catalogue, epoch)
         cameras, table = read_cameras(folder / CAMERAS), STAR_FRAMES.rows(folder / FRAMES)
         _check_files(folder / FRAMES, table)
         rows: list[StarRow] = []
-        with replace_folder(output, STARS_KIND) as work:
-            (work / OVERLAYS).mkdir()
-            with progress.stage(STAGE, len(table), "picture") as bar:
-                for row in table:
-                    rows.append(_solve_row(folder, row, cameras, (body, stars), work / OVERLAYS))
-                    bar.advance()
-            ATTITUDES.write(work / ATTITUDES_CSV, (row.cells() for row in rows))
-            files = [row.file for row in rows]
-            write_manifest(
-                work,
-                STARS_KIND,
-                command="stars",
-                options=_describe_catalogue(catalogue, epoch),
-                inputs={"folder": folder, "files_sha256": hash_files(folder, [*files, FRAMES])},
-                results={"pictures": len(rows), "solved": sum(row.solved for row in rows)},
-                started=started,
+        overlays = out.path / OVERLAYS
+        overlays.mkdir()
+        with progress.stage(STAGE, len(table), "picture") as bar:
+            for row in table:
+                rows.append(_solve_row(folder, row, cameras, (body, stars), overlays))
+                bar.advance()
+        ATTITUDES.write(out.path / ATTITUDES_CSV, (row.cells() for row in rows))
+        files = [row.file for row in rows]
+        out.options = _describe_catalogue(catalogue, epoch)
+        out.inputs = {"folder": folder, "files_sha256": hash_files(folder, [*files, FRAMES])}
+        solved = sum(row.solved for row in rows)
+        out.results = {"pictures": len(rows), "solved": solved}
+        if not solved:
+            out.failure = (
+                f"{output}: none of {len(rows)} pictures has an attitude; the first says: "
+                f"{rows[0].reason}"
             )
-    if not any(row.solved for row in rows):
-        raise NothingToDoError(
-            f"{output}: none of {len(rows)} pictures has an attitude; the first says: "
-            f"{rows[0].reason}"
-        )
     return rows
 
 

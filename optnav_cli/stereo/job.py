@@ -4,25 +4,22 @@ import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.errors import ConfigError, DataError, NoSolutionError, NothingToDoError
-from catalog.files import replace_folder
+from catalog.errors import ConfigError, DataError, NoSolutionError
 from catalog.geometry.vectors import unit
-from catalog.places import check_apart
-from catalog.progress import Progress, log_stage
+from catalog.progress import Progress
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import load_frame_picture
 from optnav_cli.frames.run_settings import RUN_TOML, MountSettings, select_stereo_pair
 from optnav_cli.frames.tables import HEIGHTS
 from optnav_cli.navigate.history import SAME_TIME_S
-from optnav_cli.output.manifest import hash_files, write_manifest
+from optnav_cli.output.manifest import hash_files, output_folder
 from optnav_cli.output.wording import align_table
 from optnav_cli.stereo.height import StereoHeight, measure_height
 from optnav_cli.stereo.rig import Eye, Rig
@@ -82,36 +79,25 @@ def measure_stereo_folder(folder: Path, output: Path, progress: Progress) -> lis
     Raises ConfigError for a run.toml without two mounts on a base, DataError for a folder that
     cannot be used, NothingToDoError, after the output is written, when no pair gives a height.
     """
-    started = datetime.now(UTC)
-    check_apart(output, [folder])
-    with log_stage(STAGE):
+    with output_folder(output, KIND, "stereo", [folder], STAGE) as out:
         read = read_folder(folder)
         mounts, rig = build_rig(read)
         pairs = list(pair_frames(read.frames, mounts))
         rows: list[StereoRow] = []
-        with replace_folder(output, KIND) as work:
-            with progress.stage(STAGE, len(pairs), "pair") as bar:
-                before: PairState | None = None
-                for pair in pairs:
-                    row, state = _measure_pair(read, rig, pair, before)
-                    before = state or before
-                    rows.append(row)
-                    bar.advance()
-            HEIGHTS.write(work / HEIGHTS_CSV, (row.cells() for row in rows))
-            files = [frame.file for frame in read.frames]
-            write_manifest(
-                work,
-                KIND,
-                command="stereo",
-                options={},
-                inputs={"folder": folder, "pictures_sha256": hash_files(folder, files)},
-                results={"pairs": len(rows), "solved": sum(r.height is not None for r in rows)},
-                started=started,
-            )
-    if not any(row.height for row in rows):
-        raise NothingToDoError(
-            f"{folder}: no pair gives a height; the first says: {rows[0].reason}"
-        )
+        with progress.stage(STAGE, len(pairs), "pair") as bar:
+            before: PairState | None = None
+            for pair in pairs:
+                row, state = _measure_pair(read, rig, pair, before)
+                before = state or before
+                rows.append(row)
+                bar.advance()
+        HEIGHTS.write(out.path / HEIGHTS_CSV, (row.cells() for row in rows))
+        files = [frame.file for frame in read.frames]
+        out.inputs = {"folder": folder, "pictures_sha256": hash_files(folder, files)}
+        solved = sum(row.height is not None for row in rows)
+        out.results = {"pairs": len(rows), "solved": solved}
+        if not solved:
+            out.failure = f"{folder}: no pair gives a height; the first says: {rows[0].reason}"
     return rows
 
 

@@ -70,6 +70,7 @@ TABLES = {
     "attitudes": "attitudes.csv",
     "cylinder": "cylinder.csv",
     "heights": "heights.csv",
+    "ortho": "ortho.csv",
     "pads": "pads.csv",
     "calibration_residuals": "residuals.csv of a calibration",
     "orbit": "orbit.csv",

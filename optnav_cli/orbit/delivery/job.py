@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import msgspec
@@ -12,9 +11,8 @@ from catalog.arrays import FloatArray
 from catalog.bodies.epochs import DAY_S, utc_from_tdb_s
 from catalog.config import resolve_config
 from catalog.errors import NoSolutionError, NothingToDoError
-from catalog.files import hash_file, replace_folder
-from catalog.places import check_apart
-from catalog.progress import Progress, log_stage
+from catalog.files import hash_file
+from catalog.progress import Progress
 from optnav_cli.frames.orbit_tables import DELIVERY_ARRIVALS, DELIVERY_BOXES, DELIVERY_STAGES
 from optnav_cli.orbit.delivery.boxes import (
     BoxStage,
@@ -32,7 +30,7 @@ from optnav_cli.orbit.delivery.settings import (
     load_delivery_settings,
 )
 from optnav_cli.orbit.qso.settings import FOLDER, moon_of
-from optnav_cli.output.manifest import write_manifest
+from optnav_cli.output.manifest import output_folder
 from optnav_cli.output.wording import align_table
 
 STAGE = "orbit delivery"
@@ -93,12 +91,13 @@ def delivery_folder(settings_path: Path, output: Path, progress: Progress) -> De
 
     Raises ConfigError for wrong settings, NothingToDoError where no path leads to the target.
     """
-    started = datetime.now(UTC)
     path = resolve_config(settings_path, FOLDER)
     settings = load_delivery_settings(settings_path)
-    check_apart(output, [path])
     section = settings.delivery
-    with log_stage(STAGE), progress.stage(STAGE, 3, "step") as bar:
+    with (
+        output_folder(output, DELIVERY_KIND, "orbit delivery", [path], STAGE) as out,
+        progress.stage(STAGE, 3, "step") as bar,
+    ):
         target = moon_of(section.target, path)
         try:
             task = delivery_task(settings, target, str(settings_path))
@@ -110,31 +109,24 @@ def delivery_folder(settings_path: Path, output: Path, progress: Progress) -> De
         trials = fly_deliveries(task, section.trials, section.seed, cut=False)
         bar.advance()
         result = DeliveryResult(task, boxes, trials)
-        with replace_folder(output, DELIVERY_KIND) as staging:
-            DELIVERY_STAGES.write(staging / STAGES_CSV, result.stages())
-            DELIVERY_BOXES.write(staging / BOXES_CSV, _box_cells(result))
-            DELIVERY_ARRIVALS.write(staging / ARRIVALS_CSV, _arrival_cells(result))
-            plane = task.path.plane
-            write_manifest(
-                staging,
-                DELIVERY_KIND,
-                command="orbit delivery",
-                options=msgspec.to_builtins(settings),
-                inputs={"settings": path, "settings_sha256": hash_file(path)},
-                results={
-                    "bound_dv_m_s": result.bound_m_s,
-                    "trials_dv_m_s": result.total_m_s,
-                    "largest_dv_m_s": float(trials.total.max()),
-                    "xi_km": float(plane.aim[0]) / 1e3,
-                    "eta_km": float(plane.aim[1]) / 1e3,
-                    "pericentre_utc": utc_from_tdb_s(task.path.pericentre_s, 3),
-                    "pericentre_km": plane.pericentre_m / 1e3,
-                    "arrival_m_s": plane.speed_m_s,
-                    "impact_km": _impact_m(task) / 1e3,
-                    "radius_km": target.radius_m / 1e3,
-                },
-                started=started,
-            )
+        DELIVERY_STAGES.write(out.path / STAGES_CSV, result.stages())
+        DELIVERY_BOXES.write(out.path / BOXES_CSV, _box_cells(result))
+        DELIVERY_ARRIVALS.write(out.path / ARRIVALS_CSV, _arrival_cells(result))
+        plane = task.path.plane
+        out.options = msgspec.to_builtins(settings)
+        out.inputs = {"settings": path, "settings_sha256": hash_file(path)}
+        out.results = {
+            "bound_dv_m_s": result.bound_m_s,
+            "trials_dv_m_s": result.total_m_s,
+            "largest_dv_m_s": float(trials.total.max()),
+            "xi_km": float(plane.aim[0]) / 1e3,
+            "eta_km": float(plane.aim[1]) / 1e3,
+            "pericentre_utc": utc_from_tdb_s(task.path.pericentre_s, 3),
+            "pericentre_km": plane.pericentre_m / 1e3,
+            "arrival_m_s": plane.speed_m_s,
+            "impact_km": _impact_m(task) / 1e3,
+            "radius_km": target.radius_m / 1e3,
+        }
     return result
 
 

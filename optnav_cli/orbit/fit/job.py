@@ -5,7 +5,6 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,7 @@ from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError, DataError, NothingToDoError, UsageError
-from catalog.files import MANIFEST, replace_folder
-from catalog.places import check_apart
-from catalog.progress import log_stage
+from catalog.files import MANIFEST
 from catalog.terrain.dem.file import resolve_path
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.forces import Forces
@@ -46,7 +43,7 @@ from optnav_cli.orbit.fit.settings import (
 )
 from optnav_cli.orbit.fit.zenith import ZENITH_CSV
 from optnav_cli.orbit.fit.zenith_job import fit_zenith_files, is_zenith
-from optnav_cli.output.manifest import hash_files, read_manifest, write_manifest
+from optnav_cli.output.manifest import hash_files, output_folder, read_manifest
 from optnav_cli.output.run_folder import RECORDING, SOLUTION, RunFolder, read_run
 from optnav_cli.output.tables import write_solutions
 
@@ -81,12 +78,10 @@ def fit_runs(
     Raises DataError for runs that cannot be used, NothingToDoError without fixes, NoSolutionError
     where they fit no orbit.
     """
-    started = datetime.now(UTC)
-    check_apart(output, runs)
-    with log_stage("orbit"):
+    with output_folder(output, KIND, "orbit fit", runs, "orbit") as out:
         if any(map(is_zenith, runs)):
             settings = _with_whole_paths(settings, beside)
-            return fit_zenith_files(runs, output, settings, solve, beside, started)
+            return fit_zenith_files(runs, out, settings, solve, beside)
         read = [read_run(path) for path in runs]
         named = {*solve, *(parameter.name for parameter in settings.parameter)}
         run_fixes = read_fixes(read, lens="focal" in named)
@@ -100,19 +95,12 @@ def fit_runs(
         cameras = [camera for _, camera in run_fixes.rows]
         settings = with_lens_errors(settings, cameras)
         problem = problem_of(run_fixes, settings, ephemeris, priors, beside)
-        with replace_folder(output, KIND) as staging:
-            fit = fit_orbit(problem, settings.noise.model, settings.gate_probability)
-            _write(staging, fit, settings, kernels, run_fixes, read)
-            lenses = write_calibrated(staging, fit, cameras)
-            write_manifest(
-                staging,
-                KIND,
-                command="orbit fit",
-                options={"config": msgspec.to_builtins(settings), "solve": list(solve)},
-                inputs=_inputs(runs, ephemeris),
-                results={"fixes": len(fit.residuals), "used": fit.used},
-                started=started,
-            )
+        fit = fit_orbit(problem, settings.noise.model, settings.gate_probability)
+        _write(out.path, fit, settings, kernels, run_fixes, read)
+        lenses = write_calibrated(out.path, fit, cameras)
+        out.options = {"config": msgspec.to_builtins(settings), "solve": list(solve)}
+        out.inputs = _inputs(runs, ephemeris)
+        out.results = {"fixes": len(fit.residuals), "used": fit.used}
     return [*summary(fit), *lenses, *_other_sights(runs)]
 
 

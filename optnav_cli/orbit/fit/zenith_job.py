@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 import msgspec
@@ -13,7 +12,7 @@ from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import load_ephemeris
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import DataError, UsageError
-from catalog.files import hash_file, replace_folder
+from catalog.files import hash_file
 from catalog.geometry.vectors import ARCSEC
 from catalog.terrain.dem.file import resolve_path
 from optnav_cli.dynamics.forces import Forces
@@ -40,7 +39,6 @@ from optnav_cli.orbit.fit.oem import Oem, write_oem
 from optnav_cli.orbit.fit.output import disturbance_rows, orbit_file, parameter_lines
 from optnav_cli.orbit.fit.priors import orbit_priors
 from optnav_cli.orbit.fit.settings import (
-    KIND,
     OF_FIXES,
     OF_SIGHTS,
     PARAMETERS,
@@ -49,7 +47,7 @@ from optnav_cli.orbit.fit.settings import (
 )
 from optnav_cli.orbit.fit.zenith import ZENITH_CSV, ZenithSights, read_zenith
 from optnav_cli.orbit.fit.zenith_fit import ZenithFit, denser, fit_zenith
-from optnav_cli.output.manifest import write_manifest
+from optnav_cli.output.manifest import OutputFolder
 from optnav_cli.output.run_folder import SOLUTION
 from optnav_cli.output.wording import format_length
 
@@ -170,13 +168,12 @@ def read_zenith_inputs(inputs: Sequence[Path]) -> ZenithInputs:
 
 def fit_zenith_files(
     inputs: Sequence[Path],
-    output: Path,
+    out: OutputFolder,
     settings: OrbitFitSettings,
     solve: Sequence[str],
     beside: Path,
-    started: datetime,
 ) -> list[str]:
-    """Fit an orbit through zenith distances and write its folder; lines for people.
+    """Fit an orbit through zenith distances and fill its folder; lines for people.
 
     Raises DataError, UsageError or ConfigError for what cannot be used, NoSolutionError where the
     sights leave the orbit open or fit none.
@@ -189,24 +186,15 @@ def fit_zenith_files(
     ends = float(source.sights.tdb_s[0]), float(source.sights.tdb_s[-1])
     priors = orbit_priors(settings.prior, ephemeris, beside, ends)
     motion = ArcMotion(Forces(ephemeris, settings.forces, beside), settings.noise)
-    with replace_folder(output, KIND) as staging:
-        fit = fit_zenith(
-            motion, source.sights, priors, settings.parameter, settings.gate_probability
-        )
-        write_zenith_folder(staging, fit, denser(fit, settings.step_s), settings, kernels)
-        write_run_settings(source.settings, staging)
-        write_manifest(
-            staging,
-            KIND,
-            command="orbit fit",
-            options={"config": msgspec.to_builtins(settings), "solve": list(solve)},
-            inputs={
-                "zenith": [{"path": str(p), "sha256": hash_file(p)} for p in source.paths],
-                "motion": ephemeris.name,
-            },
-            results={"zenith_distances": fit.count, "used": fit.used},
-            started=started,
-        )
+    fit = fit_zenith(motion, source.sights, priors, settings.parameter, settings.gate_probability)
+    write_zenith_folder(out.path, fit, denser(fit, settings.step_s), settings, kernels)
+    write_run_settings(source.settings, out.path)
+    out.options = {"config": msgspec.to_builtins(settings), "solve": list(solve)}
+    out.inputs = {
+        "zenith": [{"path": str(p), "sha256": hash_file(p)} for p in source.paths],
+        "motion": ephemeris.name,
+    }
+    out.results = {"zenith_distances": fit.count, "used": fit.used}
     return zenith_summary(fit)
 
 

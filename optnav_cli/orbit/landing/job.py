@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import msgspec
@@ -11,9 +10,8 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.config import resolve_config
 from catalog.errors import NoSolutionError, NothingToDoError
-from catalog.files import hash_file, replace_folder
-from catalog.places import check_apart
-from catalog.progress import Progress, log_stage
+from catalog.files import hash_file
+from catalog.progress import Progress
 from optnav_cli.frames.orbit_tables import LANDING, LANDING_IMPULSE, LANDING_PATH
 from optnav_cli.orbit.fit.oem import Oem, write_oem
 from optnav_cli.orbit.landing.descent import Touchdown
@@ -35,7 +33,7 @@ from optnav_cli.orbit.landing.trials import (
     wrong_ground,
 )
 from optnav_cli.orbit.qso.settings import FOLDER, moon_of
-from optnav_cli.output.manifest import write_manifest
+from optnav_cli.output.manifest import output_folder
 from optnav_cli.output.wording import align_table
 
 STAGE = "orbit landing"
@@ -75,11 +73,9 @@ def landing_folder(settings_path: Path, output: Path, progress: Progress) -> Lan
     Raises ConfigError and DataError for wrong settings and files, NothingToDoError where there is
     no nominal landing or, after the folder is written, no trial that arrives.
     """
-    started = datetime.now(UTC)
     path = resolve_config(settings_path, FOLDER)
     settings = load_landing_settings(settings_path)
-    check_apart(output, [path])
-    with log_stage(STAGE):
+    with output_folder(output, LANDING_KIND, "orbit landing", [path], STAGE) as out:
         moon = moon_of(settings.landing.body, path)
         try:
             task = landing_task(settings, moon, path.parent)
@@ -88,22 +84,15 @@ def landing_folder(settings_path: Path, output: Path, progress: Progress) -> Lan
         result = fly_trials(task, progress)
         cells = result.cells()
         landed = [row for row in cells if row["status"] == "solved"]
-        with replace_folder(output, LANDING_KIND) as staging:
-            LANDING.write(staging / LANDING_CSV, cells)
-            LANDING_IMPULSE.write(staging / IMPULSE_CSV, _impulse_cells(task))
-            LANDING_PATH.write(staging / PATH_CSV, _path_cells(result))
-            write_oem(staging / "transfer.oem", _oem(task), "TRANSFER")
-            write_manifest(
-                staging,
-                LANDING_KIND,
-                command="orbit landing",
-                options=msgspec.to_builtins(settings),
-                inputs={"settings": path, "settings_sha256": hash_file(path)},
-                results={"trials": len(cells), "landed": len(landed)},
-                started=started,
-            )
-    if cells and not landed:
-        raise NothingToDoError(f"{settings_path}: no trial lands; the first: {cells[0]['reason']}")
+        LANDING.write(out.path / LANDING_CSV, cells)
+        LANDING_IMPULSE.write(out.path / IMPULSE_CSV, _impulse_cells(task))
+        LANDING_PATH.write(out.path / PATH_CSV, _path_cells(result))
+        write_oem(out.path / "transfer.oem", _oem(task), "TRANSFER")
+        out.options = msgspec.to_builtins(settings)
+        out.inputs = {"settings": path, "settings_sha256": hash_file(path)}
+        out.results = {"trials": len(cells), "landed": len(landed)}
+        if cells and not landed:
+            out.failure = f"{settings_path}: no trial lands; the first: {cells[0]['reason']}"
     return result
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import msgspec
@@ -13,10 +12,9 @@ from catalog.bodies.ephemeris import compute_mean_anomaly
 from catalog.bodies.epochs import DAY_S, utc_from_tdb_s
 from catalog.bodies.rotation import body_from_inertial
 from catalog.config import resolve_config
-from catalog.errors import NoSolutionError, NothingToDoError
-from catalog.files import hash_file, replace_folder
-from catalog.places import check_apart
-from catalog.progress import Progress, log_stage
+from catalog.errors import NoSolutionError
+from catalog.files import hash_file
+from catalog.progress import Progress
 from optnav_cli.frames.orbit_tables import BODY_STATE, INERTIAL, QSO, QSO_PASSES, QSO_PATHS
 from optnav_cli.orbit.fit.oem import Oem, write_oem
 from optnav_cli.orbit.qso.motion import MoonMotion
@@ -34,7 +32,7 @@ from optnav_cli.orbit.qso.settings import (
     motion_of_moon,
     start_times,
 )
-from optnav_cli.output.manifest import write_manifest
+from optnav_cli.output.manifest import output_folder
 from optnav_cli.output.wording import align_table
 
 STAGE = "orbit qso"
@@ -58,42 +56,33 @@ def qso_folder(settings_path: Path, output: Path, progress: Progress) -> tuple[l
     Raises ConfigError for wrong settings, NothingToDoError, after the folder is written, when no
     orbit was found.
     """
-    started = datetime.now(UTC)
     path = resolve_config(settings_path, FOLDER)
     settings = load_qso_settings(settings_path)
     section = settings.qso
-    check_apart(output, [path])
-    with log_stage(STAGE):
+    with output_folder(output, QSO_KIND, "orbit qso", [path], STAGE) as out:
         moon = moon_of(section.body, path)
         motion = motion_of_moon(settings.forces, moon, path.parent)
         rows = find_orbits(section, motion, progress)
-        with replace_folder(output, QSO_KIND) as staging:
-            QSO.write(staging / QSO_CSV, (_cells(row, motion) for row in rows))
-            QSO_PASSES.write(
-                staging / PASSES_CSV,
-                (cells for row in rows if row.orbit for cells in _pass_cells(row, motion)),
-            )
-            QSO_PATHS.write(
-                staging / PATHS_CSV,
-                (cells for row in rows for cells in _path_cells(row, section.days, motion)),
-            )
-            for row in rows:
-                if row.orbit is not None:
-                    name = f"orbit_{row.number:02d}"
-                    oem = _oem(row, row.orbit, section, motion)
-                    write_oem(staging / f"{name}.oem", oem, name.upper())
-            solved = [row.orbit for row in rows if row.orbit]
-            write_manifest(
-                staging,
-                QSO_KIND,
-                command="orbit qso",
-                options=msgspec.to_builtins(settings),
-                inputs={"settings": path, "settings_sha256": hash_file(path)},
-                results={"orbits": len(rows), "found": len(solved)},
-                started=started,
-            )
-    if not solved:
-        raise NothingToDoError(f"{settings_path}: no orbit was found; the first: {rows[0].reason}")
+        QSO.write(out.path / QSO_CSV, (_cells(row, motion) for row in rows))
+        QSO_PASSES.write(
+            out.path / PASSES_CSV,
+            (cells for row in rows if row.orbit for cells in _pass_cells(row, motion)),
+        )
+        QSO_PATHS.write(
+            out.path / PATHS_CSV,
+            (cells for row in rows for cells in _path_cells(row, section.days, motion)),
+        )
+        for row in rows:
+            if row.orbit is not None:
+                name = f"orbit_{row.number:02d}"
+                oem = _oem(row, row.orbit, section, motion)
+                write_oem(out.path / f"{name}.oem", oem, name.upper())
+        out.options = msgspec.to_builtins(settings)
+        out.inputs = {"settings": path, "settings_sha256": hash_file(path)}
+        count = sum(row.orbit is not None for row in rows)
+        out.results = {"orbits": len(rows), "found": count}
+        if not count:
+            out.failure = f"{settings_path}: no orbit was found; the first: {rows[0].reason}"
     return rows, motion.mean_motion
 
 
