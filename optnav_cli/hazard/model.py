@@ -50,15 +50,11 @@ class ShadingNumbers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class VarianceNumbers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Thresholds of the variance of brightness."""
+    """Step of the map, and bounds of a pad's mean brightness over the most frequent one."""
 
     cell_m: Positive
-    high_sun_deg: Positive
-    low_sun_deg: Positive
-    darkest_high: Positive
-    brightest_high: Positive
-    darkest_low: Positive
-    brightest_low: Positive
+    darkest: Positive
+    brightest: Positive
 
 
 class HazardModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -2,10 +2,9 @@
 
 Source of the scheme (a pad of 20 m in squares of 200 m, an 8-bit code whose 255 refuses) and of the
 variance of a pad's brightness relative to the square of its mean: B. S. Zhukov, Autonomous optical
-navigation near the Moon and small bodies, thesis summary, ch. 4. The thresholds of shadow and of
-mean brightness, which it does not print, are ours (configs/models/hazard.toml): without those of
-the mean the criterion is worse than chance, because slopes that face the Sun have the least
-contrast.
+navigation near the Moon and small bodies, thesis summary, ch. 4. It does not print the thresholds
+of shadow and of mean brightness: configs/models/hazard.toml has ours. Without those of the mean the
+criterion is worse than chance, because slopes that face the Sun have the least contrast.
 """
 
 import math
@@ -112,13 +111,36 @@ def rate_slopes(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class PadBrightness:
+    """Brightness of all pads, (rows, cols) by their middles, at the paper's step of 5 m.
+
+    alpha  1000 x variance over the squared mean
+    level  mean over the most frequent brightness of lit ground
+    dark   share of shadow
+    shown  share that the picture shows
+    step   cells of the view from one pad to the next;  cells  of the view that a pad is wide
+    """
+
+    alpha: Float32Array
+    level: Float32Array
+    dark: Float32Array
+    shown: Float32Array
+    step: int
+    cells: int
+
+
 def map_variance(view: PictureOnGround, pad_m: float, model: HazardModel) -> RiskMap:
     """Map the code of each pad, at the paper's step of 5 m.
 
     Raises NoSolutionError for a pad under three steps or wider than the picture, or a dark picture.
     """
-    numbers = model.variance
-    many = max(1, round(numbers.cell_m / view.cell_m))
+    return rate_brightness(measure_brightness(view, pad_m, model), model)
+
+
+def measure_brightness(view: PictureOnGround, pad_m: float, model: HazardModel) -> PadBrightness:
+    """Measure mean and variance of brightness of all pads. Raises as `map_variance`."""
+    many = max(1, round(model.variance.cell_m / view.cell_m))
     wide = round(pad_m / (many * view.cell_m))
     rows, cols = (size // many for size in view.brightness.shape)
     if wide < MIN_PAD_CELLS:
@@ -143,33 +165,30 @@ def map_variance(view: PictureOnGround, pad_m: float, model: HazardModel) -> Ris
     with np.errstate(divide="ignore", invalid="ignore"):
         alpha = SCALE * np.maximum(square - mean * mean, 0.0) / (mean * mean)
     alpha = np.where(np.isfinite(alpha), alpha, SCALE).astype(np.float32)
-    elevations = numbers.low_sun_deg, numbers.high_sun_deg
-    darkest, brightest = (
-        float(np.interp(view.sun_elevation_deg, elevations, pair))
-        for pair in (
-            (numbers.darkest_low, numbers.darkest_high),
-            (numbers.brightest_low, numbers.brightest_high),
-        )
-    )
+    return PadBrightness(alpha, mean / np.float32(peak), dark, shown, many, wide * many)
+
+
+def rate_brightness(pads: PadBrightness, model: HazardModel) -> RiskMap:
+    """Rate pads by the variance of their brightness; refuse dark, bright, shaded and cut ones."""
     refused = {
-        "not whole in the picture": shown < WHOLE,
-        "shadow": dark > model.max_shadow,
-        "turned from the Sun": mean < darkest * peak,
-        "turned to the Sun": mean > brightest * peak,
+        "not whole in the picture": pads.shown < WHOLE,
+        "shadow": pads.dark > model.max_shadow,
+        "turned from the Sun": pads.level < model.variance.darkest,
+        "turned to the Sun": pads.level > model.variance.brightest,
     }
     out = np.any(list(refused.values()), axis=0)
-    code = np.where(out, 255.0, np.minimum(alpha, 254.0)).astype(np.float32)
+    code = np.where(out, 255.0, np.minimum(pads.alpha, 254.0)).astype(np.float32)
     # the worst of the pads around weighs 0.2, the paper's; refused pads count as the worst, and a
     # border has none beyond it
     risk = code + np.float32(0.2) * find_worst_neighbour(code)
     made = RiskMap(
         risk,
         refused,
-        origin=0.5 * (wide * many - 1),
-        step=many,
-        cells=wide * many,
+        origin=0.5 * (pads.cells - 1),
+        step=pads.step,
+        cells=pads.cells,
         code=encode_risk(np.minimum(risk, 254.0)),
-        shares={"shadow_share": dark},
+        shares={"shadow_share": pads.dark},
     )
     return add_refusals(made, {})
 

@@ -238,6 +238,7 @@ _OTHERS = (
         (
             option("--fields", click.IntRange(1, 90), 8, "Fields of each ground."),
             option("--fit", bool, False, "Fit the model's numbers before.", is_flag=True),
+            option("--rows", str, "", "Only cases whose method contains this: 'variance'."),
         ),
     ),
     Study(

@@ -1,12 +1,16 @@
 """The study of hazard maps: its fields, how pads are judged, what is fitted."""
 
+from itertools import product
+
+import msgspec
 import numpy as np
 import pytest
 
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG
 from optnav_cli.hazard.model import load_hazard_model
-from optnav_cli.hazard.pads import choose_pads, rate_slopes
+from optnav_cli.hazard.pads import PadBrightness, choose_pads, rate_slopes
 from optnav_cli.hazard.shading import map_slopes
+from tests.optnav_cli.hazard.views import view_of
 from tests.studies import hazard as study
 from tests.studies.hazard_fields import (
     DRAWN_M,
@@ -15,6 +19,7 @@ from tests.studies.hazard_fields import (
     sun_vector,
     true_shares,
 )
+from tests.studies.hazard_variance import BRIGHTEST, FittedField, fit_bounds, judge_bounds
 
 MODEL = load_hazard_model()
 LIMITS = {"dangerous": DANGEROUS_DEG, "critical": CRITICAL_DEG}
@@ -144,6 +149,45 @@ def test_the_fit_finds_the_numbers_that_cells_were_drawn_by():
     right = study.misfit(np.array(terms), data, above, DANGEROUS_DEG)
     best = study.misfit(np.array(found), data, above, DANGEROUS_DEG)
     assert best == pytest.approx(right, abs=5e-4)
+
+
+def bright_field(kind: str, sun_deg: float, bounds: tuple[float, float]) -> FittedField:
+    """Pads of ten squares that are safe where their mean lies within bounds, else dangerous.
+
+    The variance of brightness tells nothing: it is drawn at random, and often least outside.
+    """
+    rng = np.random.default_rng([4, round(sun_deg), len(kind)])
+    view = view_of(np.ones((400, 1000), np.float32), sun_deg)
+    shape = 77, 197
+    level = rng.uniform(0.7, 1.3, shape).astype(np.float32)
+    inside = (level >= bounds[0]) & (level <= bounds[1])
+    alpha = rng.uniform(0.0, 100.0, shape).astype(np.float32)
+    none, every = np.zeros(shape, np.float32), np.ones(shape, np.float32)
+    brightness = PadBrightness(alpha, level, none, every, 5, 20)
+    at = [np.clip(np.rint((np.arange(n) - 9.5) / 5).astype(int), 0, m - 1)
+          for n, m in zip((400, 1000), shape)]  # fmt: skip
+    dangerous = (~inside)[np.ix_(*at)].astype(np.float32)
+    return FittedField(kind, sun_deg, view, brightness, dangerous, 0.5)
+
+
+def test_the_fit_finds_the_bounds_within_which_pads_are_safe():
+    """Level is drawn evenly, so that few squares lack a pad: the narrowest upper bound is best."""
+    fields = [bright_field(k, s, (0.9, 1.04)) for k in ("rough", "even") for s in (5.0, 20.0)]
+    fitted = fit_bounds(fields, MODEL).variance
+    assert fitted.darkest == 0.9
+    assert fitted.brightest == BRIGHTEST[0]
+
+
+def test_half_or_twice_a_fitted_bound_chooses_worse_pads():
+    """Of pads that are safe within the shipped bounds."""
+    numbers = MODEL.variance
+    fields = [bright_field("rough", 5.0, (numbers.darkest, numbers.brightest))]
+    right = judge_bounds(fields, MODEL)[0]
+    for name, factor in product(("darkest", "brightest"), (0.5, 2.0)):
+        changed = {name: factor * getattr(numbers, name)}
+        other = msgspec.structs.replace(numbers, **changed)
+        ratio, found = judge_bounds(fields, msgspec.structs.replace(MODEL, variance=other))
+        assert ratio > right or found == 0.0
 
 
 def test_fitted_sections_are_printed_as_the_file_has_them():

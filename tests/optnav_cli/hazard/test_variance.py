@@ -5,7 +5,12 @@ import pytest
 
 from catalog.errors import NoSolutionError
 from optnav_cli.hazard.model import load_hazard_model
-from optnav_cli.hazard.pads import REFUSED, find_usual_brightness, map_variance
+from optnav_cli.hazard.pads import (
+    REFUSED,
+    find_usual_brightness,
+    map_variance,
+    measure_brightness,
+)
 from tests.optnav_cli.hazard.views import view_of
 
 MODEL = load_hazard_model()
@@ -25,13 +30,14 @@ def codes_by_a_plain_loop(values: np.ndarray, peak: float) -> np.ndarray:
     rows, cols = values.shape[0] // CELL, values.shape[1] // CELL
     high, wide = rows - PAD + 1, cols - PAD + 1
     code = np.zeros((high, wide))
+    darkest, brightest = MODEL.variance.darkest, MODEL.variance.brightest
     for i in range(high):
         for j in range(wide):
             pad = values[i * CELL : (i + PAD) * CELL, j * CELL : (j + PAD) * CELL].astype(float)
             mean = pad.mean()
             alpha = 1000.0 * ((pad**2).mean() - mean**2) / mean**2
             refused = (pad < 0.3 * peak).mean() > 0.1
-            refused |= not 0.9 * peak <= mean <= 1.15 * peak
+            refused |= not darkest * peak <= mean <= brightest * peak
             code[i, j] = 255.0 if refused else min(alpha, 254.0)
     whole = np.zeros((high, wide), int)
     for i in range(high):
@@ -63,9 +69,12 @@ def test_the_usual_brightness_is_that_of_most_lit_ground() -> None:
     assert find_usual_brightness(view_of(picture())) == pytest.approx(100.0, abs=3.0)
 
 
-def test_thresholds_of_the_mean_are_wider_under_a_low_sun() -> None:
-    low, high = (map_variance(view_of(picture(), e), 20.0, MODEL) for e in (5.0, 20.0))
-    assert (low.code == REFUSED).sum() < (high.code == REFUSED).sum()
+def test_pads_that_are_darker_or_brighter_than_most_ground_are_refused() -> None:
+    view = view_of(picture())
+    pads, risk = measure_brightness(view, 20.0, MODEL), map_variance(view, 20.0, MODEL)
+    for outside in (pads.level < MODEL.variance.darkest, pads.level > MODEL.variance.brightest):
+        assert outside.any()
+        assert (risk.code[outside] == REFUSED).all()
 
 
 @pytest.mark.parametrize(("pad_m", "words"), [(10.0, "under 3 cells"), (200.0, "wider than")])
