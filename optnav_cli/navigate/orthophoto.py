@@ -22,6 +22,7 @@ from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import DataError, NoSolutionError
 from catalog.geometry.ellipsoid import distance_to_sphere
+from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import Stereographic
 from catalog.geometry.vectors import cross_matrix, unit
@@ -43,7 +44,6 @@ LATTICE = 33  # rays a side that find the ground of a picture
 MAX_EMISSION_DEG = 75.0  # beyond it a pixel smears over four times its width
 MAX_SIDE = 8192  # map pixels; a wider picture is laid out coarser
 MIN_MATCHES = 4
-STEPS = 48  # places along a line of sight that are held against the ground
 STRIP = 256  # map rows at once
 
 
@@ -271,52 +271,91 @@ def map_picture(
     picture = np.asarray(counts, dtype=np.float32)
     strips = [(n, min(n + STRIP, frame.size[0])) for n in range(0, frame.size[0], STRIP)]
     grids = [dem.heights_at(*frame.projection.latlon(*frame.nodes(*strip))) for strip in strips]
-    highest = max(float(np.max(grid, initial=-np.inf, where=np.isfinite(grid))) for grid in grids)
-    for (first, last), grid in zip(strips, grids, strict=True):
+    ground = np.concatenate(grids)
+    for first, last in strips:
         x, y = frame.nodes(first, last)
-        heights = grid.astype(np.float64)
-        points = frame.projection.points(x, y, heights).reshape(-1, 3)
-        pixels = pose.camera.project_from_body(points, pose.position_m, pose.camera_from_body)
+        points = frame.projection.points(x, y, ground[first:last].astype(np.float64))
+        flat = points.reshape(-1, 3)
+        pixels = pose.camera.project_from_body(flat, pose.position_m, pose.camera_from_body)
         known = np.isfinite(pixels).all(axis=1) & pose.camera.contains(pixels)
-        known[known] = ~find_hidden(pose.position_m, points[known], dem, highest)
+        known &= ~find_hidden(pose.position_m, points, frame, ground, first).ravel()
         at = np.where(known[:, None], pixels, 0.0).astype(np.float32).reshape(*x.shape, 2)
         column, row = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
         strip = cv2.remap(picture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         values[first:last] = np.where(known.reshape(x.shape), strip, np.nan)
         known &= np.isfinite(values[first:last]).ravel()
-        errors = np.full(len(points), np.nan)
-        errors[known] = pose.compute_sigmas(points[known], dem_m)
+        errors = np.full(len(flat), np.nan)
+        errors[known] = pose.compute_sigmas(flat[known], dem_m)
         sigmas[first:last] = errors.reshape(x.shape)
     return values, sigmas
 
 
 def find_hidden(
-    position_m: FloatArray, points_m: FloatArray, dem: DemSource, highest_m: float
+    position_m: FloatArray,
+    points_m: FloatArray,
+    frame: MapFrame,
+    ground_m: NDArray[np.float32],
+    first: int,
 ) -> BoolArray:
-    """Whether other ground stands before places (n, 3) m, seen from a camera.
+    """Whether other ground of the map stands before places, seen from a camera; (rows, cols).
 
-    Lines of sight are held against the ground at STEPS places, up to its greatest height,
-    highest_m.
+    points_m  (rows, cols, 3) of map rows from `first` on;  ground_m  heights of the whole map
     """
-    hidden = np.zeros(len(points_m), dtype=bool)
-    if not len(points_m):
-        return hidden
-    radius = np.linalg.norm(points_m, axis=1)
-    sight = unit(position_m - points_m)
-    rise = (sight * points_m).sum(axis=1) / radius
-    room = np.maximum(dem.body.radius_m + highest_m - radius, 0.0)
-    reach = np.minimum(room / np.maximum(rise, 1e-3), np.linalg.norm(position_m - points_m, axis=1))
-    # less than a posting up the line the ground is the place's own
-    start = dem.posting_m
-    for step in range(1, STEPS + 1):
-        along = start + (reach - start) * (step / STEPS) ** 2
-        chosen = ~hidden & (along > start)
-        if not chosen.any():
-            continue
-        lat, lon, height = latlon_from_xyz(points_m[chosen] + along[chosen, None] * sight[chosen])
-        ground = dem.heights_at(lat, lon) + dem.body.radius_m
-        hidden[chosen] = ground > height
+    radius = np.linalg.norm(points_m, axis=-1, keepdims=True)
+    up, sight = points_m / radius, unit(position_m - points_m)
+    rise = (sight * up).sum(axis=-1, keepdims=True)
+    level = sight - rise * up
+    length = np.maximum(np.linalg.norm(level, axis=-1), 1e-9)
+    # how a step of the ground toward the camera goes over the map
+    x, y = frame.projection.xy_from_xyz(up * frame.projection.radius_m)
+    ahead = up * frame.projection.radius_m + frame.posting_m * level / length[..., None]
+    to_x, to_y = frame.projection.xy_from_xyz(ahead)
+    steps = np.stack([(y - to_y), (to_x - x)], axis=-1) / frame.posting_m
+    slopes = rise[..., 0] / length
+    hidden = np.zeros(slopes.shape, np.bool_)
+    highest = float(np.max(ground_m, initial=-np.inf, where=np.isfinite(ground_m)))
+    scale = frame.posting_m, frame.projection.radius_m
+    _mark_hidden(ground_m, first, steps, slopes, highest, scale, hidden)
     return hidden
+
+
+@kernel
+def _mark_hidden(
+    ground: NDArray[np.float32],
+    first: int,
+    steps: FloatArray,
+    slopes: FloatArray,
+    highest: float,
+    scale: tuple[float, float],
+    hidden: BoolArray,
+) -> None:
+    """Follow each line of sight over the map, a pixel at a time, until it is above all ground.
+
+    steps  (rows, cols, 2) map rows and columns that a pixel's length of ground leads to;
+    slopes  of the lines of sight at their places;  scale  a pixel's length and the body's radius
+    """
+    rows, cols = ground.shape
+    posting, radius = scale
+    for i in range(hidden.shape[0]):
+        for j in range(hidden.shape[1]):
+            start = ground[first + i, j]
+            if not np.isfinite(start):
+                continue
+            row, col, along = float(first + i), float(j), 0.0
+            while True:
+                row += steps[i, j, 0]
+                col += steps[i, j, 1]
+                along += posting
+                height = start + along * slopes[i, j] + along * along / (2.0 * radius)
+                if height > highest or not (0.0 <= row < rows - 1 and 0.0 <= col < cols - 1):
+                    break
+                r, c = int(row), int(col)
+                v, u = row - r, col - c
+                above = (1.0 - v) * ((1.0 - u) * ground[r, c] + u * ground[r, c + 1])
+                above += v * ((1.0 - u) * ground[r + 1, c] + u * ground[r + 1, c + 1])
+                if along > 1.5 * posting and above > height:
+                    hidden[i, j] = True
+                    break
 
 
 def _encode(

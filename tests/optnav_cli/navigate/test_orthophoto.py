@@ -13,11 +13,13 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
+from catalog.geometry.projection import Stereographic
 from catalog.geometry.vectors import rnb_axes, unit
 from catalog.terrain.dem.source import DemSource
 from optnav_cli.fix import MatchRow
 from optnav_cli.main import run as optnav
 from optnav_cli.navigate.orthophoto import (
+    MapFrame,
     SolvedPose,
     find_hidden,
     lay_out_map,
@@ -65,7 +67,7 @@ def draw_picture(position, turn, heights=hill):
     x, y = np.meshgrid(np.arange(CAMERA.width_px), np.arange(CAMERA.height_px))
     rays = CAMERA.unproject(np.stack([x, y], axis=-1).astype(float)) @ turn.as_matrix()
     distance = np.full(x.shape, 1.0) * (np.linalg.norm(position) - RADIUS_M)
-    for _ in range(25):
+    for _ in range(16):
         lat, lon, radius = latlon_from_xyz(position + distance[..., None] * rays)
         distance = distance + 0.7 * (radius - RADIUS_M - heights(lat, lon))
     lat, lon, radius = latlon_from_xyz(position + distance[..., None] * rays)
@@ -94,20 +96,21 @@ def test_counts_lie_at_their_places_over_a_hill(tmp_path, tilt_deg):
     assert sigmas[seen].max() == 0.0
 
 
-def test_ground_behind_a_wall_has_no_value(tmp_path):
-    def wall(lat, lon):
-        return np.where(np.abs(lon - 20.0 * DEGREE) < 0.05 * DEGREE, 4000.0, 0.0) + 0.0 * lat
-
-    dem = DemSource.open_alone(make_dem(tmp_path / "dem.tif", wall), MOON)
-    # 100 km high and 100 km west of the wall: its shadow is 4 km long
+def test_ground_behind_a_wall_has_no_value():
+    frame = MapFrame(
+        Stereographic(10.0 * DEGREE, 20.0 * DEGREE, RADIUS_M), -15e3, 15e3, 250.0, (120, 120)
+    )
+    x, y = frame.nodes(0, 120)
+    ground = np.where(np.abs(x) < 1500.0, 4000.0, 0.0).astype(np.float32)
+    # 100 km high and 100 km west of the middle: the wall's shadow ends 5.5 km east of it
     west = 20.0 - np.degrees(100e3 / RADIUS_M) / np.cos(10.0 * DEGREE)
     position = xyz_from_latlon(10.0 * DEGREE, west * DEGREE, RADIUS_M + 100e3)
-    east_m = np.array([-6000.0, -3000.0, 2500.0, 4000.0, 8000.0, 12000.0])
-    lon = 20.0 * DEGREE + east_m / RADIUS_M / np.cos(10.0 * DEGREE)
-    places = xyz_from_latlon(10.0 * DEGREE, lon, RADIUS_M)
-    hidden = find_hidden(position, places, dem, 4000.0)
-    assert hidden.tolist() == [False, False, True, True, False, False]
-    assert not find_hidden(position, places[:0], dem, 4000.0).size
+    points = frame.projection.points(x, y, ground)
+    hidden = find_hidden(position, points, frame, ground, 0)
+    assert not hidden[:, x[0] < 1400.0].any()
+    assert hidden[:, (x[0] > 1800.0) & (x[0] < 5200.0)].all()
+    assert not hidden[:, x[0] > 6200.0].any()
+    assert np.array_equal(find_hidden(position, points[50:70], frame, ground, 50), hidden[50:70])
 
 
 def test_sigmas_are_the_scatter_of_places_under_drawn_poses():
