@@ -79,6 +79,12 @@ def slopes(
     help="A slope map from orbit, as `optnav slopes -o` writes it: brightness does not tell the "
     "tilt of all that a picture shows.",
 )
+@click.option(
+    "--pictures",
+    "pictures_folder",
+    type=PATH,
+    help="Of a run: the folder of its pictures, where they have moved since.",
+)
 @click.option("--camera", type=PATH, help="The camera of a single picture, a TOML file.")
 @click.option("--height-m", type=Number(0.1, 1e7), help="Of the camera over the ground.")
 @click.option(
@@ -112,7 +118,9 @@ def hazard(
     """Map how risky landing is on the ground that PICTURES show, and choose a pad in each square.
 
     PICTURES is a picture folder whose frames.csv states positions and attitudes; or one picture of
-    a camera that looks straight down, with --camera, --height-m and where the Sun stands.
+    a camera that looks straight down, with --camera, --height-m and where the Sun stands; or a run
+    of `optnav navigate`, whose solved poses are refined by windows of --dem and of the frame
+    before. Its pads are carried from frame to frame into carried_pads.csv and .gpkg.
 
     OUTPUT gets risk.tif (254 x the expected share of slopes above 7 deg on a pad, 255 refused),
     slopes.tif, risk.png, hazard.png, pads.csv, hazard.mcap and manifest.json; of several frames,
@@ -121,11 +129,13 @@ def hazard(
     \b
     Example:
       optnav hazard pictures --dem site.tif --slopes slopes.tif -o hazard
+      optnav hazard run --dem site.tif -o hazard
       optnav hazard site.png --camera tsnn2_narrow.toml --height-m 500 --sun-elevation-deg 5
         --sun-azimuth-deg 120 -o hazard
     """
     from optnav_cli.hazard.job import map_pictures
 
     report_compilation()
+    given["pictures"] = given.pop("pictures_folder")
     report_lines(map_pictures(pictures, output, config, camera, given, progress))
     click.echo(output)

@@ -352,7 +352,7 @@ PADS = CsvTable(
         number("expected_critical_share", "expected share above 15 deg", "", "z.5f"),
         number("shadow_share", "share in shadow", "", "z.5f"),
         number("mean_slope_deg", "mean slope", "deg", "z.3f"),
-        number("prior_slope_deg", "mean slope by --slopes", "deg", "z.3f"),
+        number("prior_slope_deg", "mean slope by --slopes or --dem", "deg", "z.3f"),
         *(
             number(f"dir_camera_{i}", f"direction to the pad, camera frame, {i}", "", "z.9f")
             for i in "xyz"
@@ -361,6 +361,30 @@ PADS = CsvTable(
             number(f"dir_body_{i}", f"direction to the pad, body frame, {i}", "", "z.9f")
             for i in "xyz"
         ),
+        REASON,
+    )
+)
+
+CARRIED_PADS = CsvTable(
+    (
+        count("id", "number of the pad", empty=False),
+        text("first_file", "first picture"),
+        FILE,
+        count("n_seen", "pictures that show it", empty=False),
+        number("lat_deg", "planetocentric latitude", "deg", "z.9f", empty=False),
+        number("lon_deg", "longitude, -180 to 180, east positive", "deg", "z.9f", empty=False),
+        number("height_m", "height above the reference sphere", "m", "z.3f", empty=False),
+        number("sigma_east_m", "1 sigma of its place, east", "m", "z.4f", empty=False),
+        number("sigma_north_m", "1 sigma of its place, north", "m", "z.4f", empty=False),
+        number("correlation", "of east and north", "", "z.5f", empty=False),
+        number("moved_m", "from its first place", "m", "z.3f", empty=False),
+        *(number(f"{axis}_px", f"centre of the pad, {axis}", "px", "z.3f") for axis in "xy"),
+        number("expected_dangerous_share", "expected share above 7 deg", "", "z.5f"),
+        number("expected_critical_share", "expected share above 15 deg", "", "z.5f"),
+        number("shadow_share", "share in shadow", "", "z.5f"),
+        number("mean_slope_deg", "mean slope", "deg", "z.3f"),
+        number("prior_slope_deg", "mean slope by --slopes or --dem", "deg", "z.3f"),
+        text("status", "carried or given_up"),
         REASON,
     )
 )

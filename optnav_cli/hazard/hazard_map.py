@@ -22,8 +22,9 @@ from catalog.rasters import TERRAIN, handle_read_errors, open_raster
 from catalog.terrain.dem.file import read_georeference
 from catalog.terrain.dem.georeference import Georeference
 from catalog.terrain.dem.label import read_map_label
+from catalog.terrain.dem.source import DemSource
 from catalog.terrain.dem.validity import Validity
-from catalog.terrain.slopes import DANGEROUS_DEG
+from catalog.terrain.slopes import BASE_M, DANGEROUS_DEG, summarise_slopes
 from optnav_cli.hazard.ground_view import PictureOnGround, average_boxes
 from optnav_cli.hazard.model import HazardModel, load_hazard_model
 from optnav_cli.hazard.pads import (
@@ -34,8 +35,14 @@ from optnav_cli.hazard.pads import (
     map_variance,
     rate_slopes,
 )
+from optnav_cli.hazard.registration import sample_ground
 from optnav_cli.hazard.settings import HazardSettings
-from optnav_cli.hazard.shading import ShadedSlopes, map_slopes, rate_danger
+from optnav_cli.hazard.shading import (
+    ShadedSlopes,
+    compute_width_m,
+    map_slopes,
+    rate_danger,
+)
 
 MAX_PIXELS = 400_000_000
 MAX_SLOPE_DEG = 90.0
@@ -108,6 +115,16 @@ def read_slopes(path: Path, body: Body) -> PriorSlopes:
     return PriorSlopes(path, degrees, georeference, georeference.row_angle * body.radius_m)
 
 
+def measure_prior(path: Path, body: Body, nodata: float | None) -> PriorSlopes:
+    """Measure the slopes of a terrain model, on a base of two of its postings or 3 m."""
+    source = DemSource.open_alone(path, body, nodata)
+    try:
+        _, degrees = summarise_slopes(source, BASE_M)
+        return PriorSlopes(path, degrees, source.georeference, source.posting_m)
+    finally:
+        source.close()
+
+
 def combine_slopes(
     view: PictureOnGround,
     slopes: ShadedSlopes,
@@ -155,13 +172,15 @@ def find_too_steep(
 class HazardMap:
     """Risk and pads of the ground that a picture shows.
 
-    slopes  None by the method of variance
+    slopes   None by the method of variance
+    width_m  of the widest picture that the slopes are from
     """
 
     view: PictureOnGround
     risk: RiskMap
     pads: list[Pad]
     slopes: ShadedSlopes | None
+    width_m: float = 0.0
 
     @property
     def found(self) -> int:
@@ -179,9 +198,14 @@ def check_settings(settings: HazardSettings) -> None:
 
 
 def map_hazard(
-    view: PictureOnGround, settings: HazardSettings, prior: PriorSlopes | None = None
+    view: PictureOnGround,
+    settings: HazardSettings,
+    prior: PriorSlopes | None = None,
+    earlier: HazardMap | None = None,
 ) -> HazardMap:
     """Map the risk of a view and choose its pads.
+
+    earlier  map of an earlier frame of a descent whose slopes are combined with the view's
 
     Raises NoSolutionError with the reason why there is no map, DataError for a prior that does not
     overlap it.
@@ -190,16 +214,21 @@ def map_hazard(
         load_hazard_model(), shadow=settings.shadow, max_shadow=settings.max_shadow
     )
     before = None if prior is None else prior.sample_view(view)
+    width_m = compute_width_m(view)
     if settings.method == "variance":
         risk, slopes = map_variance(view, settings.pad_m, model), None
     else:
         slopes = map_slopes(view, model, settings.law)
+        # The prior goes into each frame once: combined slopes are nearer than it already.
         if prior is not None and before is not None:
             slopes = combine_slopes(view, slopes, before, prior.posting_m, model)
+        if earlier is not None and earlier.slopes is not None:
+            width_m = max(width_m, earlier.width_m)
+            slopes = carry_slopes(earlier, view, slopes, width_m, model)
         risk = rate_slopes(view, slopes, settings.pad_m, model)
     if before is not None:
         risk = _refuse_by_prior(risk, before, model)
-    return HazardMap(view, risk, choose_pads(view, risk, settings.square_m), slopes)
+    return HazardMap(view, risk, choose_pads(view, risk, settings.square_m), slopes, width_m)
 
 
 def _refuse_by_prior(risk: RiskMap, prior_deg: Float32Array, model: HazardModel) -> RiskMap:
@@ -213,3 +242,33 @@ def _refuse_by_prior(risk: RiskMap, prior_deg: Float32Array, model: HazardModel)
     known = add_refusals(risk, {"too steep by --slopes": steep[at_pads] > 0})
     shares = {**risk.shares, "prior_slope_deg": means[at_pads]}
     return replace(known, shares=shares)
+
+
+def carry_slopes(
+    earlier: HazardMap,
+    view: PictureOnGround,
+    slopes: ShadedSlopes,
+    width_m: float,
+    model: HazardModel,
+) -> ShadedSlopes:
+    """Combine the slopes of a view with an earlier frame's, weighted by their variances.
+
+    A wider picture tells the long waves, a nearer one the short ones. Both maps have the same Sun,
+    whose azimuth differs between them by less than the angle that the craft moves over the body.
+    """
+    if earlier.slopes is None:
+        return slopes
+    rows, cols = view.brightness.shape
+    x, y = np.meshgrid(view.xy_m(0.0, np.arange(cols))[0], view.xy_m(np.arange(rows), 0.0)[1])
+    toward, across, sigma = (
+        sample_ground(part, earlier.view.valid, earlier.view, x, y, view)
+        for part in (earlier.slopes.toward, earlier.slopes.across, earlier.slopes.sigma)
+    )
+    known = np.isfinite(toward) & np.isfinite(across) & np.isfinite(sigma)
+    ours, theirs = slopes.sigma**2, np.where(known, sigma, np.float32(1.0)) ** 2
+    weight = np.where(known, ours / (ours + theirs), np.float32(0.0)).astype(np.float32)
+    mixed = [
+        (now + weight * (np.where(known, before, now) - now)).astype(np.float32)
+        for now, before in ((slopes.toward, toward), (slopes.across, across))
+    ]
+    return rate_danger(view, mixed[0], mixed[1], slopes.shadow, model, width_m)

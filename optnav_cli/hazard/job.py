@@ -1,9 +1,10 @@
 """Pictures to hazard maps and pads, as `optnav hazard` does."""
 
 import logging
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,19 +26,23 @@ from catalog.terrain.dem.source import DemSource
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.frames.folder import Folder, read_folder
-from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.frames import Frame, picture_path
 from optnav_cli.frames.picture import Picture, load_frame_picture, load_picture
+from optnav_cli.frames.run_settings import RUN_TOML, read_run_settings
+from optnav_cli.hazard.descent import Descent
 from optnav_cli.hazard.ground_view import Heights, KnownPose, look_down, look_from
 from optnav_cli.hazard.hazard_map import (
     HazardMap,
     PriorSlopes,
     check_settings,
     map_hazard,
+    measure_prior,
     read_slopes,
 )
 from optnav_cli.hazard.output import HazardOutput, MappedFrame
 from optnav_cli.hazard.settings import KIND, OPTIONS, HazardSettings, load_settings
-from optnav_cli.output.manifest import write_manifest
+from optnav_cli.output.manifest import read_manifest, write_manifest
+from optnav_cli.output.run_folder import SOLUTION, read_run
 
 log = logging.getLogger(__name__)
 
@@ -69,6 +74,7 @@ class HazardInputs:
     dem: Path | None = None
     height_m: float | None = None
     nodata: float | None = None
+    pictures: Path | None = None
 
     def list_files(self) -> list[Path]:
         return [path for path in (self.slopes, self.catalog, self.dem) if path is not None]
@@ -97,6 +103,12 @@ def map_pictures(
                 raise UsageError(
                     f"{name} is for a single picture; {pictures} is a folder, whose files say it"
                 )
+        if (pictures / SOLUTION).is_file():
+            return map_run(pictures, inputs, output, progress)
+        if inputs.pictures is not None:
+            raise UsageError(
+                f"--pictures is for a run; {pictures} has no {SOLUTION}, and its pictures lie in it"
+            )
         return _describe_results(map_folder(pictures, inputs, output, progress))
     check_input(pictures, "picture", "name a picture, or a folder of them")
     for name, value in {**alone, "--height-m": inputs.height_m}.items():
@@ -169,7 +181,7 @@ def map_folder(
     folder = read_folder(path)
     frames = []
     with ExitStack() as stack:
-        ground = _open_ground(inputs, folder.body, stack)
+        ground, _ = _open_ground(inputs, folder.body, stack)
         prior = None if inputs.slopes is None else read_slopes(inputs.slopes, folder.body)
         stack.enter_context(log_stage("hazard"))
         partial = stack.enter_context(replace_folder(output, KIND))
@@ -189,6 +201,117 @@ def map_folder(
         )  # fmt: skip
     _check_found(frames)
     return frames
+
+
+def map_run(run: Path, inputs: HazardInputs, output: Path, progress: Progress) -> list[str]:
+    """Map the hazards of a navigated run, and carry pads from frame to frame in order of time.
+
+    Each frame's pose is refined by windows of the terrain model and of the frame before. Returns
+    one line of text per picture and one about the pads. Raises as `map_picture`, and DataError for
+    pictures that are not the run's.
+    """
+    started = datetime.now(UTC)
+    settings = inputs.settings
+    check_settings(settings)
+    if inputs.height_m is not None:
+        raise UsageError("--height-m is for frames without a terrain model; leave it out of a run")
+    pictures, known = _find_pictures(run, inputs.pictures)
+    check_apart(output, [run, pictures, *inputs.list_files()])
+    folder = replace(read_folder(run), path=pictures)
+    solved = {solution.file: solution for solution in read_run(run).solutions}
+    rows = [row for row in folder.frames if row.file in solved]
+    rows.sort(key=lambda row: math.inf if row.tdb_s is None else row.tdb_s)
+    frames: list[MappedFrame] = []
+    with ExitStack() as stack:
+        ground, posting_m = _open_ground(inputs, folder.body, stack)
+        prior = _open_prior(inputs, folder.body)
+        stack.enter_context(log_stage("hazard"))
+        partial = stack.enter_context(replace_folder(output, KIND))
+        bar = stack.enter_context(progress.stage("hazard", len(rows), "picture"))
+        descent = Descent(folder, ground, settings, prior, posting_m)
+        with HazardOutput(partial, folder.body, settings, many=True) as out:
+            for row in rows:
+                frame = MappedFrame(row.file, folder.cameras.get(row.camera), None, row)
+                try:
+                    _check_picture(pictures, row.file, known)
+                    descent.map_frame(frame, solved[row.file])
+                except (NoSolutionError, DataError) as error:
+                    frame.reason = str(error)
+                    log.warning("%s: %s", row.file, error)
+                out.add(frame)
+                frames.append(frame.drop_pixels())
+                bar.advance()
+            out.add_carried(descent.pads)
+        if prior is not None:
+            _warn_uncovered(prior, descent)
+        origin: dict[str, object] = {"run": run, "pictures": pictures, "body": folder.settings.body}
+        origin |= {"solution_sha256": hash_file(run / SOLUTION)}
+        origin |= {named.name: hash_file(named) for named in inputs.list_files()}
+        results = _count_results(frames) | {"carried_pads": len(descent.pads)}
+        write_manifest(
+            partial, KIND, command="hazard", options=msgspec.to_builtins(settings), inputs=origin,
+            results=results, started=started,
+        )  # fmt: skip
+    _check_found(frames)
+    return [*_describe_results(frames), descent.describe()]
+
+
+def _warn_uncovered(prior: PriorSlopes, descent: Descent) -> None:
+    """Warn of carried pads that the slope map does not cover."""
+    missed = [
+        str(pad.number)
+        for pad in descent.pads
+        if not math.isfinite(pad.shares.get("prior_slope_deg", math.nan))
+    ]
+    if missed:
+        log.warning(
+            "%s: does not cover %d of %d pads (%s); their slopes are from brightness alone: name a "
+            "map that covers them",
+            prior.path, len(missed), len(descent.pads), ", ".join(missed[:5]),
+        )  # fmt: skip
+
+
+def _find_pictures(run: Path, pictures: Path | None) -> tuple[Path, dict[str, str | None]]:
+    """Find the folder of a run's pictures, and their hashes by name."""
+    inputs = read_manifest(run).get("inputs")
+    inputs = inputs if isinstance(inputs, dict) else {}
+    hashes = inputs.get("files_sha256")
+    if pictures is None:
+        named = inputs.get("pictures")
+        if not isinstance(named, str) or not Path(named).is_dir():
+            raise DataError(
+                f"{run}: its pictures are not in {named or 'any folder that it names'}; name their "
+                "folder with --pictures"
+            )
+        pictures = Path(named)
+    if not pictures.is_dir():
+        raise DataError(f"{pictures}: there is no such folder; wanted that of the run's pictures")
+    if (pictures / RUN_TOML).is_file():
+        body, stated = (read_run_settings(at / RUN_TOML)[1].name for at in (run, pictures))
+        if body != stated:
+            raise DataError(
+                f"{pictures}: its pictures show {stated}, {run} is a run at {body}; name the "
+                "folder that the run was made from"
+            )
+    return pictures, hashes if isinstance(hashes, dict) else {}
+
+
+def _check_picture(pictures: Path, file: str, known: Mapping[str, str | None]) -> None:
+    """Raise DataError for a picture that is not the one that the run solved."""
+    wanted = known.get(file)
+    path = picture_path(pictures, file)
+    if wanted is not None and path.is_file() and hash_file(path) != wanted:
+        raise DataError(
+            f"{path}: is not the picture that the run was made from (another SHA-256); name the "
+            "folder of the run's pictures with --pictures"
+        )
+
+
+def _open_prior(inputs: HazardInputs, body: Body) -> PriorSlopes | None:
+    """Open the slope map, or take the slopes of the terrain model on its own postings."""
+    if inputs.slopes is not None:
+        return read_slopes(inputs.slopes, body)
+    return None if inputs.dem is None else measure_prior(inputs.dem, body, inputs.nodata)
 
 
 def _map_frame(
@@ -247,8 +370,13 @@ def _map_pose(
     return map_hazard(view, inputs.settings, prior)
 
 
-def _open_ground(inputs: HazardInputs, body: Body, stack: ExitStack) -> Heights | None:
-    """Open the named model or catalog: heights of the ground above the body's sphere."""
+def _open_ground(
+    inputs: HazardInputs, body: Body, stack: ExitStack
+) -> tuple[Heights | None, float | None]:
+    """Open the named model or catalog: heights of the ground above the body's sphere.
+
+    Also returns the posting of a terrain model, m.
+    """
     if inputs.dem is not None and inputs.catalog is not None:
         raise UsageError("--dem and --catalog both give heights of the ground; name one of them")
     if inputs.dem is None and inputs.nodata is not None:
@@ -256,15 +384,15 @@ def _open_ground(inputs: HazardInputs, body: Body, stack: ExitStack) -> Heights 
     if inputs.dem is not None:
         source = DemSource.open_alone(inputs.dem, body, inputs.nodata)
         stack.callback(source.close)
-        return lambda lat, lon: source.heights_at(lat, lon).astype(np.float64)
+        return lambda lat, lon: source.heights_at(lat, lon).astype(np.float64), source.posting_m
     if inputs.catalog is not None:
         catalog = stack.enter_context(Catalog.open(inputs.catalog))
         if catalog.meta.body != body.name or catalog.meta.planes is not None:
             raise DataError(
                 f"{inputs.catalog}: is no catalog of {body.name} on its sphere; name another one"
             )
-        return lambda lat, lon: _sample_catalog(catalog, lat, lon)
-    return None
+        return lambda lat, lon: _sample_catalog(catalog, lat, lon), None
+    return None, None
 
 
 def _sample_catalog(catalog: Catalog, lat: FloatArray, lon: FloatArray) -> FloatArray:

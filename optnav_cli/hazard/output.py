@@ -2,6 +2,7 @@
 
 import base64
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -15,18 +16,48 @@ from affine import Affine
 from catalog.arrays import ByteArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.rasters import encode_geotiff
-from catalog.store.geopackage import format_stereographic_wkt
+from catalog.store.geopackage import (
+    GREEN,
+    RED,
+    UNDATED,
+    Feature,
+    FeatureLayer,
+    Rule,
+    define_srs,
+    describe_geopackage,
+    encode_point,
+    format_stereographic_wkt,
+    format_style,
+    open_new_geopackage,
+)
 from catalog.terrain.slopes import convert_to_degrees
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
-from optnav_cli.frames.tables import PADS
+from optnav_cli.frames.tables import CARRIED_PADS, PADS
 from optnav_cli.hazard.hazard_map import HazardMap
-from optnav_cli.hazard.pads import REFUSED, Pad
-from optnav_cli.hazard.settings import PADS_FILE, HazardSettings
+from optnav_cli.hazard.pads import REFUSED, CarriedPad, Pad
+from optnav_cli.hazard.settings import CARRIED_FILE, LAYER_FILE, PADS_FILE, HazardSettings
 from optnav_cli.output import foxglove
 from optnav_cli.output.canvas import Canvas, encode_picture, scale_to_eight_bits, shade_picture
 from optnav_cli.output.recording import MessageLog, encode_recorded_image, format_topic
+
+PADS_LAYER = FeatureLayer(
+    "landing_pads",
+    "POINT",
+    "Pads carried along a descent, with 1 sigma of their places",
+    (
+        *("first_file TEXT NOT NULL", "file TEXT NOT NULL", "n_seen INTEGER", "height_m DOUBLE"),
+        *("sigma_east_m DOUBLE", "sigma_north_m DOUBLE", "correlation DOUBLE", "moved_m DOUBLE"),
+        *("expected_dangerous_share DOUBLE", "expected_critical_share DOUBLE"),
+        *("shadow_share DOUBLE", "mean_slope_deg DOUBLE", "prior_slope_deg DOUBLE"),
+        *("status TEXT NOT NULL", "reason TEXT NOT NULL"),
+    ),
+    format_style(
+        Rule("carried", "\"status\" = 'carried'", "circle", GREEN, 2.4),
+        Rule("given up", "ELSE", "cross2", RED, 2.0),
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -109,6 +140,13 @@ class HazardOutput:
             self._rows += [_make_row(frame, pad) for pad in frame.mapped.pads]
             self._record(frame, risk)
 
+    def add_carried(self, pads: Sequence[CarriedPad]) -> None:
+        """Write the pads that were carried from frame to frame, as a table and for GIS programs."""
+        rows = [_make_carried_row(pad, self._body) for pad in pads]
+        CARRIED_PADS.write(self._folder / CARRIED_FILE, rows)
+        if self._body is not None:
+            write_layer(self._folder / LAYER_FILE, rows, self._body)
+
     def _write_rasters(self, folder: Path, mapped: HazardMap) -> None:
         risk, view = mapped.risk, mapped.view
         a, b, c, d, e, f = view.affine
@@ -181,6 +219,45 @@ def _make_row(frame: MappedFrame, pad: Pad) -> dict[str, object]:
         if frame.row.camera_from_body is not None:
             cells |= _split_vector("dir_body", frame.row.camera_from_body.inv().apply(direction))
     return cells
+
+
+def _make_carried_row(pad: CarriedPad, body: Body | None) -> dict[str, object]:
+    """Make a row of carried_pads.csv."""
+    lat, lon, height_m = pad.centre
+    east, north = (math.sqrt(pad.covariance[i, i]) for i in range(2))
+    return {
+        "id": pad.number,
+        "first_file": pad.first_file,
+        "file": pad.file,
+        "n_seen": pad.n_seen,
+        "lat_deg": math.degrees(lat),
+        "lon_deg": math.degrees(lon),
+        "height_m": height_m,
+        "sigma_east_m": east,
+        "sigma_north_m": north,
+        "correlation": float(pad.covariance[0, 1]) / (east * north),
+        "moved_m": pad.measure_move_m(body.radius_m if body else 0.0),
+        **dict(zip(("x_px", "y_px"), pad.pixel)),
+        **{name: value for name, value in pad.shares.items() if math.isfinite(value)},
+        "status": "given_up" if pad.reason else "carried",
+        "reason": pad.reason,
+    }
+
+
+def write_layer(path: Path, rows: Sequence[Mapping[str, object]], body: Body) -> None:
+    """Write carried pads as a GeoPackage, points with the columns of carried_pads.csv."""
+    system = define_srs(body.name, body.radius_m)
+    names = PADS_LAYER.names[2:]
+    features: list[Feature] = []
+    for row in rows:
+        lon, lat = float(str(row["lon_deg"])), float(str(row["lat_deg"]))
+        geometry = encode_point(lon, lat, system[0])
+        cells = (row["id"], geometry, *(row.get(name) for name in names))
+        features.append((cells, (lon, lat, lon, lat)))
+    with open_new_geopackage(path) as db:
+        describe_geopackage(db, body.name, body.radius_m, UNDATED)
+        PADS_LAYER.create(db)
+        PADS_LAYER.register(db, system[0], PADS_LAYER.fill(db, features), UNDATED)
 
 
 def _split_vector(name: str, vector: FloatArray) -> dict[str, float]:

@@ -303,3 +303,34 @@ def _explain_refusal(risk: RiskMap, window: tuple[slice, ...]) -> str:
             words.append(f"{reason} {now.mean():.0%}")
         left &= ~refused[window]
     return ", ".join(words)
+
+
+@dataclass
+class CarriedPad:
+    """A pad followed from frame to frame of a descent.
+
+    number         counts from 1 in the order of choice
+    first_file, file  pictures of its choice and of its last place
+    centre         latitude, longitude, rad, and height above the reference sphere, m
+    covariance     (2, 2) of the place, east and north, m^2
+    pixel          x and y of its middle in the last picture
+    shares         what is known of it, by the column of pads.csv
+    moved_m        from its first place
+    reason         why it is followed no longer
+    """
+
+    number: int
+    first_file: str
+    file: str
+    n_seen: int
+    centre: tuple[float, float, float]
+    covariance: FloatArray
+    pixel: tuple[float, float]
+    shares: dict[str, float]
+    first_centre: tuple[float, float, float]
+    reason: str = ""
+
+    def measure_move_m(self, radius_m: float) -> float:
+        """Measure how far the pad lies from its first place, m."""
+        lat, lon = (now - then for now, then in zip(self.centre[:2], self.first_centre[:2]))
+        return radius_m * math.hypot(lat, lon * math.cos(self.centre[0]))

@@ -9,6 +9,7 @@ import msgspec
 from catalog.config import load_toml
 
 KIND, PADS_FILE = "hazard", "pads.csv"  # of the output folder
+CARRIED_FILE, LAYER_FILE = "carried_pads.csv", "carried_pads.gpkg"  # of a run
 
 Length = Annotated[float, msgspec.Meta(ge=0.1, le=1e5)]
 Share = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
@@ -24,6 +25,7 @@ class HazardSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     law: Literal["hapke", "lommel_seeliger", "lunar_lambert", "lambert"] = "hapke"
     shadow: Share = 0.3
     max_shadow: Share = 0.1
+    ground_sigma_m: Annotated[float, msgspec.Meta(ge=0.0, le=1e4)] = 5.0
 
 
 OPTIONS = ("method", "pad_m", "square_m")  # that the command line may set, too

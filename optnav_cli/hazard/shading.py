@@ -81,8 +81,12 @@ def rate_danger(
     across: Float32Array,
     shadow: Float32Array,
     model: HazardModel,
+    width_m: float | None = None,
 ) -> ShadedSlopes:
-    """Rate how likely slopes are dangerous."""
+    """Rate how likely slopes are dangerous.
+
+    width_m  of the widest picture that the slopes are from; None: the view's
+    """
     numbers = model.shading
     squares, local, regional, dark = _average_surroundings(view, toward, across, shadow, model)
     dangerous, critical, sigma = np.empty((3, *squares.shape), np.float32)
@@ -91,7 +95,7 @@ def rate_danger(
         (numbers.critical, CRITICAL_DEG, critical),
         (numbers.dangerous, DANGEROUS_DEG, dangerous),
     ):
-        terms = _combine_terms(part, model, view, limit)
+        terms = _combine_terms(part, model, view, limit, width_m)
         _rate(squares, local, regional, dark, terms, out, sigma)
     return ShadedSlopes(toward, across, dangerous, critical, sigma, shadow)
 
@@ -343,21 +347,32 @@ def _count_cells(length_m: float, cell_m: float) -> int:
     return max(1, 2 * round(0.5 * (length_m / cell_m - 1.0)) + 1)
 
 
-def compute_narrowness(view: PictureOnGround, model: HazardModel) -> float:
+def compute_width_m(view: PictureOnGround) -> float:
+    """Compute the side of the square whose area a picture shows, m."""
+    return max(math.sqrt(float(np.count_nonzero(view.valid))), 1.0) * view.cell_m
+
+
+def compute_narrowness(
+    view: PictureOnGround, model: HazardModel, width_m: float | None = None
+) -> float:
     """Compute how much smaller a picture is than one that shows all waves: 0; 1 for a quarter."""
-    wide = math.sqrt(float(np.count_nonzero(view.valid))) * view.cell_m
-    return max(math.sqrt(model.shading.wide_m / max(wide, view.cell_m)) - 1.0, 0.0)
+    wide = compute_width_m(view) if width_m is None else width_m
+    return max(math.sqrt(model.shading.wide_m / wide) - 1.0, 0.0)
 
 
 def _combine_terms(
-    part: ErrorOfSlopes, model: HazardModel, view: PictureOnGround, limit_deg: float
+    part: ErrorOfSlopes,
+    model: HazardModel,
+    view: PictureOnGround,
+    limit_deg: float,
+    width_m: float | None,
 ) -> Float32Array:
     """Combine the terms of a view for `_rate`."""
     elevations, elevation = model.shading.sun_elevation_deg, view.sun_elevation_deg
     limit, local, regional, dark, sigma, by_local, by_dark, narrow, by_narrow = interpolate_terms(
         part, elevations, elevation
     )
-    x = compute_narrowness(view, model)
+    x = compute_narrowness(view, model, width_m)
     limit *= math.tan(math.radians(limit_deg))
     combined = limit, local, regional + x * narrow, dark, sigma, by_local, by_dark, x * by_narrow
     return np.array(combined, np.float32)

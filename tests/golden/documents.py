@@ -72,6 +72,7 @@ TABLES = {
     "heights": "heights.csv",
     "ortho": "ortho.csv",
     "pads": "pads.csv",
+    "carried_pads": "carried_pads.csv",
     "calibration_residuals": "residuals.csv of a calibration",
     "orbit": "orbit.csv",
     "orbit_residuals": "residuals.csv of an orbit",
