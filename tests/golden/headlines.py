@@ -79,6 +79,12 @@ HEADLINES: dict[str, dict[str, str]] = {
         ),
         "Sun at 20°, albedo of 6 %: {} %, {} % expected": "hazard 0 8 pads_7 expected",
     },
+    "hazard_descent": {
+        "to 500 m and below, Sun at 20°: {} % of pads above 7°, {} σ at worst (3)": (
+            "hazard_descent 0 4 pads_7 worst"
+        ),
+        "one picture: {} %": "hazard_descent 0 6 pads_7",
+    },
     "stereo": {
         "100 m, mounting exact: {} m (0.1)": "stereo 0 2 exact_m",
         'known to 20": {} m, {} m stated': "stereo 0 2 mounted_m mounted_sigma_m",

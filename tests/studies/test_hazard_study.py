@@ -1,17 +1,20 @@
 """The study of hazard maps: its fields, how pads are judged, what is fitted."""
 
 from itertools import product
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG
+from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.hazard.model import load_hazard_model
 from optnav_cli.hazard.pads import PadBrightness, choose_pads, rate_slopes
 from optnav_cli.hazard.shading import map_slopes
 from tests.optnav_cli.hazard.views import view_of
 from tests.studies import hazard as study
+from tests.studies.hazard_descent import FlownDescent, cut_field
 from tests.studies.hazard_fields import (
     DRAWN_M,
     field_view,
@@ -20,6 +23,7 @@ from tests.studies.hazard_fields import (
     true_shares,
 )
 from tests.studies.hazard_variance import BRIGHTEST, FittedField, fit_bounds, judge_bounds
+from tests.studies.stored import read_stored
 
 MODEL = load_hazard_model()
 LIMITS = {"dangerous": DANGEROUS_DEG, "critical": CRITICAL_DEG}
@@ -188,6 +192,29 @@ def test_half_or_twice_a_fitted_bound_chooses_worse_pads():
         other = msgspec.structs.replace(numbers, **changed)
         ratio, found = judge_bounds(fields, msgspec.structs.replace(MODEL, variance=other))
         assert ratio > right or found == 0.0
+
+
+def test_carried_pads_lie_within_three_sigmas_and_are_no_worse_than_those_of_one_picture():
+    table = read_stored("hazard_descent").tables[0]
+    names = [column.name for column in table.columns]
+    rows = [dict(zip(names, row, strict=True)) for row in table.rows]
+    assert max(row["worst"] for row in rows if row["worst"] is not None) <= 3.0
+    for sun in (20.0, 5.0):
+        shares = {row["picture"]: row["pads_7"] for row in rows if row["sun"] == sun}
+        assert shares["500 m and below"] <= shares["500 m alone"]
+        assert shares["500 m, all of its squares"] <= shares["500 m alone"]
+
+
+def test_places_in_drawn_descents_are_found_from_their_pixels(small):
+    """A pad at a pixel lies where a point of the ground there is seen."""
+    camera = preset_camera("tsnn2_narrow")
+    flown = FlownDescent(small, 20.0, Path(), camera, {"a": (12.0, -7.0, 300.0)})
+    x, y = 40.0, -30.0
+    middle = 0.5 * (len(small.heights) - 1)
+    height = float(small.heights[round(middle - y / DRAWN_M), round(middle + x / DRAWN_M)])
+    pixel = camera.project(np.array([x - 12.0, -(y + 7.0), 300.0 - height]))
+    np.testing.assert_allclose(flown.find_true_place("a", pixel), (x, y), atol=0.2)
+    assert cut_field(small, 100.0, (20.0, -10.0)).heights.shape == (600, 600)
 
 
 def test_fitted_sections_are_printed_as_the_file_has_them():
