@@ -89,6 +89,10 @@ class ReasonCode(StrEnum):
     # a descent
     TRACK_JUMP = "track_jump", "the inertial track jumps, or the ground lies where it does not lead"
     CARRIED = "carried", "nothing was measured; the inertial track carries on from frames before"
+    RANGE_REFUSED = (
+        "range_refused",
+        "the altimeter contradicts the picture or meets no ground",
+    )
     OUT_OF_VIEW = "out_of_view", "a landmark left the picture"
     LOST = "lost", "a landmark was not found again"
     # a single control point

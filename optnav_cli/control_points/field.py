@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,26 @@ class PointStore(Protocol):
 
     def patches(self, point_id: int) -> tuple[Patch, ...]:
         """The levels of a point, finest first; DataError when they are damaged."""
+
+
+# Side of the ground, m, whose error all windows of a descent share: wider templates err no less.
+REGION_M = 19e3
+
+
+class StatedSigmas(NamedTuple):
+    """Errors that a terrain model's stated error causes, 1 sigma, m; 0 where none is stated.
+
+    shift_m, height_m            of one template: its place per axis and its mean height, less:
+    region_shift_m, region_height_m  what templates of a region have in common
+    """
+
+    shift_m: float
+    height_m: float
+    region_shift_m: float
+    region_height_m: float
+
+
+NOT_STATED = StatedSigmas(0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -130,7 +150,7 @@ class ControlPointField:
 
     def terrain_errors(self, index: IndexArray) -> FloatArray:
         """(n,) stated errors of terrain models over those of GLD100; 1 where none is stated."""
-        stated = (self._stated(point) for point in index.tolist())
+        stated = (self.find_stated_error(point) for point in index.tolist())
         return np.array([1.0 if error is None else error.against_gld100 for error in stated])
 
     def compute_terrain_sigmas_m(self, index: IndexArray, sizes_m: FloatArray) -> FloatArray:
@@ -140,7 +160,7 @@ class ControlPointField:
         """
         sigmas = np.zeros((len(index), 2))
         for k, (point, size) in enumerate(zip(index.tolist(), sizes_m.tolist(), strict=True)):
-            error = self._stated(point)
+            error = self.find_stated_error(point)
             reference = self.reference(point) if error is not None else None
             if error is not None and reference is not None:
                 box_m = 1e3 * error.box_km
@@ -252,7 +272,28 @@ class ControlPointField:
     def _layer(self, index: int) -> PointLayer:
         return self.layers[int(self.layer_of[index])]
 
-    def _stated(self, index: int) -> TerrainErrorModel | None:
+    def compute_stated_errors(self, place_m: FloatArray, size_m: float) -> StatedSigmas:
+        """Compute what the stated error of the terrain model does to a template at a place (3,).
+
+        size_m  side of the template on the ground; 0: of the smallest box that the model's law has
+        """
+        nearest = self.nearest(place_m, 1, np.inf)
+        sides_m = np.array([size_m, REGION_M])
+        index: IndexArray = np.array(2 * nearest, dtype=np.int64)
+        if not nearest or self.find_stated_error(nearest[0]) is None:
+            return NOT_STATED
+        own, region = self.compute_terrain_sigmas_m(index, sides_m)
+        rest = np.sqrt(np.maximum(own**2 - region**2, 0.0))
+        return StatedSigmas(float(rest[0]), float(rest[1]), float(region[0]), float(region[1]))
+
+    def resolution_m(self, place_m: FloatArray) -> float | None:
+        """Return the shortest wave that the model at a place holds; None where none is stated."""
+        nearest = self.nearest(place_m, 1, np.inf)
+        error = self.find_stated_error(nearest[0]) if nearest else None
+        return None if error is None else 1e3 * error.resolution_km
+
+    def find_stated_error(self, index: int) -> TerrainErrorModel | None:
+        """Find the stated error of a point's terrain model; None where none is stated."""
         layer = self._layer(index)
         row = index - int(self._first[self.layer_of[index]])
         return layer.errors[row] if layer.errors else None

@@ -65,6 +65,15 @@ class StarsSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     epoch: Annotated[float, msgspec.Meta(ge=1800.0, le=2200.0)] | None = None
 
 
+class DescentSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """[descent]: of folders with [inertial].
+
+    windows_above_m  from lower over the ground relative landmarks alone navigate; 0: windows too
+    """
+
+    windows_above_m: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] = 0.0
+
+
 class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """The navigation config."""
 
@@ -73,6 +82,7 @@ class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     solve: SolveSettings = SolveSettings()
     points: PickedSettings = PickedSettings()
     stars: StarsSettings = StarsSettings()
+    descent: DescentSection = DescentSection()
     spice: SpiceSettings = SpiceSettings()
 
     def attitude_sigma_rad(self, stated: float | None) -> float:

@@ -17,7 +17,7 @@ from catalog.tables import CsvRow
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import PositionPrior
 from optnav_cli.frames.run_settings import FileAttitude
-from optnav_cli.frames.tables import FRAMES, POSITION, QUATERNION, SUN
+from optnav_cli.frames.tables import FRAMES, POSITION, QUATERNION, RANGE, SUN
 
 # Unit vectors and quaternions are written with a few digits; further off, columns are mixed up.
 UNIT_TOLERANCE = 0.01
@@ -26,6 +26,7 @@ UNIT_TOLERANCE = 0.01
 MAX_DISTANCE_M = 1e12
 MIN_ATTITUDE_ARCSEC, MAX_ATTITUDE_ARCSEC = 1e-6, 180.0 * 3600.0
 MAX_TIME_SIGMA_S = 3600.0
+MIN_RANGE_SIGMA_M = 1e-3  # of an altimeter: relief under its beam is never known better
 MAX_NAME_BYTES = 255  # of a file or folder, on all common systems
 
 
@@ -46,6 +47,7 @@ class Frame:
                         rotation where the file's attitude is against the stars
     problem             why the frame cannot be used, or None; then any of the others may be None
     predicted           where a known orbit leads, for a frame without position_m
+    range_m             slant range along the altimeter's beam, m;  range_sigma_m its 1 sigma
     """
 
     file: str
@@ -60,6 +62,8 @@ class Frame:
     common_sigma_rad: float = 0.0
     problem: str | None = None
     predicted: PositionPrior | None = None
+    range_m: float | None = None
+    range_sigma_m: float | None = None
 
     @property
     def own_attitude_sigma_rad(self) -> float | None:
@@ -129,6 +133,7 @@ def _read_frame(
         if sun is not None:
             sun_body = attitude.places.rotate_to_catalog(sun / float(np.linalg.norm(sun)))
         turn = None if rotation is None else attitude.read(rotation, time)
+        range_m, range_sigma_m = _read_range(row, attitude)
         return Frame(
             file=file,
             utc=utc,
@@ -140,6 +145,8 @@ def _read_frame(
             position_m=position,
             position_sigma_m=position_sigma,
             sun_body=sun_body,
+            range_m=range_m,
+            range_sigma_m=range_sigma_m,
         )
     except DataError as error:
         return Frame(file=file, utc=utc, camera=camera, problem=str(error))
@@ -203,6 +210,22 @@ def _read_position(row: CsvRow, attitude: FileAttitude) -> tuple[FloatArray | No
     return attitude.places.transform_to_catalog(position), sigma / attitude.places.scale
 
 
+def _read_range(row: CsvRow, attitude: FileAttitude) -> tuple[float | None, float | None]:
+    """An altimeter's range and its sigma, m; None where it measured nothing."""
+    stated = row.vector(RANGE)
+    if stated is None:
+        return None, None
+    measured, sigma = (float(value) for value in stated)
+    if not 0.0 < measured <= MAX_DISTANCE_M:
+        raise DataError(f"range_m is {row['range_m']}; wanted over 0 to {MAX_DISTANCE_M:g}")
+    if not MIN_RANGE_SIGMA_M <= sigma <= measured:
+        raise DataError(
+            f"range_sigma_m is {row['range_sigma_m']}; wanted {MIN_RANGE_SIGMA_M:g} to the range"
+        )
+    scale = attitude.places.scale
+    return measured / scale, sigma / scale
+
+
 def _make_cells(
     frame: Frame, attitude: FileAttitude, cameras: Mapping[str, Camera]
 ) -> dict[str, object]:
@@ -220,6 +243,9 @@ def _make_cells(
         cells |= zip(POSITION, places.transform_to_stated(frame.position_m), strict=True)
     if frame.position_sigma_m is not None:
         cells["position_sigma_m"] = frame.position_sigma_m * places.scale
+    if frame.range_m is not None and frame.range_sigma_m is not None:
+        measured = frame.range_m * places.scale, frame.range_sigma_m * places.scale
+        cells |= zip(RANGE, measured, strict=True)
     if frame.sun_body is not None:
         cells |= zip(SUN, places.rotate_to_stated(frame.sun_body), strict=True)
     return cells

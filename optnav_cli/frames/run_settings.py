@@ -136,6 +136,31 @@ class InertialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return float(np.linalg.norm(position)), float(np.linalg.norm(attitude)) * ARCSEC
 
 
+class AltimeterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[altimeter]: the beam that range_m of frames.csv is measured along.
+
+    beam  unit vector, frame of the row's camera; the boresight unless stated
+    """
+
+    beam: tuple[Share, Share, Share] = (0.0, 0.0, 1.0)
+
+    @property
+    def direction(self) -> FloatArray:
+        """(3,) unit vector of the beam, camera frame."""
+        beam = np.array(self.beam)
+        direction: FloatArray = beam / float(np.linalg.norm(beam))
+        return direction
+
+    def check(self) -> None:
+        """Raise ConfigError for a beam that is no unit vector or points back."""
+        length = float(np.linalg.norm(self.beam))
+        if abs(length - 1.0) > UNIT_TOLERANCE or self.beam[2] <= 0.0:
+            raise ConfigError(
+                f"[altimeter] beam is {list(self.beam)} with a length of {length:.6g}; wanted a "
+                "unit vector in the camera's frame with z, along the boresight, over 0"
+            )
+
+
 LatitudeKind = Literal["planetocentric", "geodetic"]
 HeightKind = Literal["sphere", "ellipsoid"]
 
@@ -191,6 +216,7 @@ class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     inertial  what the one inertial track of frames.csv is wrong by; unset: each row by itself
     mount     where cameras stand in the ship, for stereo
     points    what the coordinates of points.csv are
+    altimeter  along which beam frames.csv states ranges; unset: the boresight
     """
 
     body: str
@@ -198,6 +224,12 @@ class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     inertial: InertialSettings | msgspec.UnsetType = msgspec.UNSET
     mount: tuple[MountSettings, ...] = ()
     points: PointsSection = PointsSection()
+    altimeter: AltimeterSettings | msgspec.UnsetType = msgspec.UNSET
+
+    @property
+    def beam(self) -> AltimeterSettings:
+        """[altimeter], or its defaults."""
+        return self.altimeter or AltimeterSettings()
 
 
 def read_run_settings(path: Path) -> tuple[RunSettings, Body]:
@@ -208,6 +240,7 @@ def read_run_settings(path: Path) -> tuple[RunSettings, Body]:
     settings = load_toml(path, RunSettings)
     try:
         check_mounts(settings.mount)
+        settings.beam.check()
         body = load_body(settings.body, path.parent)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
@@ -231,6 +264,9 @@ def write_run_settings(settings: RunSettings, folder: Path) -> None:
     stated = msgspec.to_builtins(settings.points)
     if stated:
         text += "\n[points]\n" + "".join(f'{name} = "{kind}"\n' for name, kind in stated.items())
+    if settings.altimeter:
+        beam = ", ".join(repr(float(v)) for v in settings.altimeter.beam)
+        text += f"\n[altimeter]\nbeam = [{beam}]\n"
     text += "".join(mount.format_toml() for mount in settings.mount)
     (folder / RUN_TOML).write_text(text, encoding="utf-8")
 

@@ -11,6 +11,7 @@ from catalog.tables import CsvColumn, CsvTable
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qw", "qx", "qy", "qz")
 SUN = ("sun_x", "sun_y", "sun_z")
+RANGE = ("range_m", "range_sigma_m")
 COVARIANCE = ("cov_xx_m2", "cov_xy_m2", "cov_xz_m2", "cov_yy_m2", "cov_yz_m2", "cov_zz_m2")
 ERRORS = ("error_r_m", "error_n_m", "error_b_m")
 SIGMAS = ("sigma_r_m", "sigma_n_m", "sigma_b_m")
@@ -68,9 +69,11 @@ FRAMES = CsvTable(
         *_position("prior position of the camera", ".4f"),
         number("position_sigma_m", "1 sigma of the prior position per component", "m", ".6g"),
         *(number(name, f"{TO_SUN}, {name[-1]}; empty: from the time", "", ".12f") for name in SUN),
+        number("range_m", "altimeter: slant range along its beam", "m", ".4f", newer=True),
+        number("range_sigma_m", "1 sigma of the range; over 0", "m", ".6g", newer=True),
     ),
     by_hand=True,
-    together=(QUATERNION, POSITION, SUN),
+    together=(QUATERNION, POSITION, SUN, RANGE),
 )
 
 PICKED_POINTS = CsvTable(

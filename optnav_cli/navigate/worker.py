@@ -179,11 +179,12 @@ class FrameWorker:
         return points.get(frame.file, ())
 
     def make_descent(
-        self, track: InertialSettings | None = None, windows_above_m: float = 0.0
+        self, track: InertialSettings | None = None, windows_above_m: float | None = None
     ) -> DescentNavigator | None:
         """Make the navigator of a descent; None where the frames are not of one track.
 
-        track  its errors, those of run.toml if None;  windows_above_m  see `DescentNavigator`
+        track  its errors, those of run.toml if None
+        windows_above_m  see `DescentNavigator`; that of the settings if None
         """
         folder, track = self.folder, track or self.folder.settings.inertial or None
         if not track:
@@ -191,7 +192,10 @@ class FrameWorker:
         places = [frame.position_m for frame in folder.frames if frame.position_m is not None]
         middle = places[-1] if places else np.array([folder.body.radius_m, 0.0, 0.0])
         ground = open_ground(self.catalogs, folder.body)
-        return DescentNavigator(self.inputs, ground, track, middle, windows_above_m)
+        above, beam = windows_above_m, folder.settings.beam.direction
+        if above is None:
+            above = self.inputs.settings.descent.windows_above_m
+        return DescentNavigator(self.inputs, ground, track, middle, above, beam)
 
     def close(self) -> None:
         """Close the catalogs."""

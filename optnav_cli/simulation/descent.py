@@ -40,7 +40,7 @@ from optnav_cli.simulation.scenario_base import (
     Exposure,
     ScenarioBase,
 )
-from optnav_cli.simulation.sections import Distance, Latitude
+from optnav_cli.simulation.sections import AltimeterSection, Distance, Latitude
 
 MODEL = "model.tif"
 SMOOTH_POSTINGS = 0.6  # sigma of what smooths a model's error: 1-2 postings wide
@@ -170,6 +170,7 @@ class Descent(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     sun: SunSettings = SunSettings(elevation_deg=(10.0, 20.0))
     inertial: InertialSettings | msgspec.UnsetType = msgspec.UNSET
     model: ModelSettings | msgspec.UnsetType = msgspec.UNSET
+    altimeter: AltimeterSection | msgspec.UnsetType = msgspec.UNSET
 
     @property
     def track(self) -> InertialSettings | msgspec.UnsetType:
@@ -181,6 +182,8 @@ class Descent(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     def check(self) -> None:
         super().check()
+        if self.altimeter:
+            self.altimeter.check()
         descent = self.descent
         if descent.to_km >= descent.from_km:
             raise ConfigError(

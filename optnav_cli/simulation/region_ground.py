@@ -333,6 +333,18 @@ class RegionGround:
         albedo = None if self._albedo is None else self._albedo.on_body(seed or 0, np.eye(3))
         return self._scenes.get(key, scene).picture(exposure.position_m, rays, albedo=albedo)
 
+    def height_m(self, exposure: Exposure, lat: float, lon: float) -> float:
+        """The ground's height at a place, rad, over the reference sphere."""
+        factor, _ = self._plans[exposure.index]
+        # a few nodes about the place
+        reach = 4.0 * self._terrain.posting_m / self._terrain.body.radius_m
+        wide = reach / np.cos(lat)
+        box = lon - wide, lat - reach, lon + wide, lat + reach
+        ground = self._terrain.window(exposure.ground_seed, factor, box)
+        col = np.mod(lon - ground.west, 2.0 * np.pi) / ground.step_lon
+        row = (ground.north - lat) / ground.step_lat
+        return float(sample_bicubic(ground.heights, np.array([row]), np.array([col]))[0])
+
     def _plan(self, camera: Camera, flight: Sequence[Exposure]) -> None:
         """Fineness and box of the ground for each picture of a camera, by its index."""
         plans = self._plans

@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import Ephemeris
+from catalog.geometry.ellipsoid import distance_to_sphere
+from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.vectors import ARCSEC
 from catalog.rasters import TERRAIN, handle_read_errors, open_raster
 from catalog.terrain.dem.file import resolve_path
@@ -21,19 +23,23 @@ from catalog.terrain.dem.source import DemSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.run_settings import Attitude, FileAttitude, RunSettings
+from optnav_cli.frames.run_settings import AltimeterSettings, Attitude, FileAttitude, RunSettings
 from optnav_cli.frames.truth import Truth, write_truth
 from optnav_cli.simulation.descent import Descent, write_model
 from optnav_cli.simulation.globe_ground import GlobeGround
 from optnav_cli.simulation.region_ground import RegionGround, truth_terrain
 from optnav_cli.simulation.scenario import scenario_cameras, scenario_copy, scenario_motion
 from optnav_cli.simulation.scenario_base import Exposure, FileNames, ScenarioBase, TruthGround
-from optnav_cli.simulation.sections import SensorSettings
+from optnav_cli.simulation.sections import AltimeterSection, SensorSettings
 from optnav_cli.simulation.sensor import Counts, expose
 from optnav_cli.simulation.stereo_path import StereoScenario, StereoTerrain
 from optnav_cli.simulation.surroundings import MeshGround, Surroundings
 
-SENSOR, CALIBRATION = 17, 31  # streams of random numbers, apart from those of the trajectory
+# Streams of random numbers, apart from those of the trajectory.
+SENSOR, CALIBRATION, ALTIMETER = 17, 31, 47
+
+# Steps to where an altimeter's beam meets rough ground: each leaves the slope's share of the error.
+RANGE_ROUNDS = 12
 
 
 class Simulation:
@@ -147,8 +153,17 @@ class Simulation:
         scenario, cameras, motion = self.scenario, self.cameras, self.motion
         mount = scenario.mount if isinstance(scenario, StereoScenario) else ()
         settings = RunSettings(scenario.body, self.attitude, scenario.track, mount)
+        section = getattr(scenario, "altimeter", msgspec.UNSET)
+        if section:
+            beam = AltimeterSettings(section.beam)
+            settings = msgspec.structs.replace(settings, altimeter=beam)
         start = self.flight[0].tdb_s if self.flight else 0.0
         frames = [_frame(e, scenario, cameras[e.camera].name, start) for e in self.flight]
+        if section:
+            frames = [
+                frame if e.camera else self._with_range(frame, e, section)
+                for frame, e in zip(frames, self.flight, strict=True)
+            ]
         # cameras as their calibration knows them: of a known blur, that of these pictures
         psf = scenario.sensor.psf_sigma_px
         known = [c if c.psf_sigma_px is None else replace(c, psf_sigma_px=psf) for c in cameras]
@@ -160,6 +175,23 @@ class Simulation:
         (folder / "scenario.json").write_bytes(scenario_copy(scenario))
         if isinstance(scenario, Descent) and scenario.model:
             write_model(scenario.model, scenario, motion.body, self.flight, folder)
+
+    def _with_range(self, frame: Frame, exposure: Exposure, section: AltimeterSection) -> Frame:
+        """A frame with the range of an altimeter beside its camera; without where it meets none."""
+        ground, radius = self._ground, self.motion.body.radius_m
+        if not isinstance(ground, RegionGround | StereoTerrain):
+            return frame
+        ray = section.direction @ exposure.camera_from_body.as_matrix()
+        height, along = 0.0, np.nan
+        for _ in range(RANGE_ROUNDS):
+            along = float(distance_to_sphere(exposure.position_m, ray[None], radius + height)[0])
+            if not np.isfinite(along):
+                return frame
+            lat, lon, _ = (float(v) for v in latlon_from_xyz(exposure.position_m + along * ray))
+            height = ground.height_m(exposure, lat, lon)
+        rng = np.random.default_rng([self.scenario.seed, ALTIMETER, exposure.index])
+        measured = section.measure(along, rng)
+        return replace(frame, range_m=measured, range_sigma_m=section.sigma_m)
 
 
 class Taken(msgspec.Struct, frozen=True):

@@ -15,6 +15,7 @@ from catalog.photometry.hapke import LUNAR, HapkeParameters
 from catalog.terrain.error_model import ErrorSpectrum, load_terrain_laws
 from catalog.terrain.synthetic.model_error import ModelError, SlopeMap
 from catalog.terrain.synthetic.relief import SyntheticRelief
+from optnav_cli.frames.run_settings import AltimeterSettings
 
 Inclination = Annotated[float, Meta(ge=0.0, le=180.0)]
 Latitude = Annotated[float, Meta(ge=-90.0, le=90.0)]
@@ -167,6 +168,20 @@ class AlbedoMapSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     path: str
     extent_deg: tuple[Turn, Latitude, Turn, Latitude] | msgspec.UnsetType = msgspec.UNSET
     coding: Literal["srgb", "linear"] = "srgb"
+
+
+class AltimeterSection(AltimeterSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """[altimeter]: ranges in frames.csv, of the first camera's pictures.
+
+    sigma_m  1 sigma of a range
+    beam     as in run.toml
+    """
+
+    sigma_m: Annotated[float, Meta(ge=1e-3, le=1e4)] = 1.0
+
+    def measure(self, true_m: float, rng: np.random.Generator) -> float:
+        """A range with its error, m."""
+        return true_m + self.sigma_m * float(rng.normal())
 
 
 class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -70,7 +70,9 @@ class StereoSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class StereoScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Pairs of pictures of a ship whose cameras are mounted as [[mount]] says.
+    """Pairs of pictures of a ship whose cameras are mounted as [[mount]] says; or of one camera.
+
+    One needs an [altimeter].
 
     Both cameras are copies of [camera], named as the mounts name them. With [truth] camera =
     "drawn" they stand as far off from that as error_arcsec says.
@@ -78,12 +80,16 @@ class StereoScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_o
 
     stereo: StereoSettings
     mount: tuple[MountSettings, ...]
+    altimeter: sections.AltimeterSection | msgspec.UnsetType = msgspec.UNSET
     dem: tuple[()] = ()  # no terrain model lies below this ground
 
     def check(self) -> None:
         super().check()
         check_mounts(self.mount)
-        select_stereo_pair(self.mount)
+        if self.altimeter:
+            self.altimeter.check()
+        if not (self.altimeter and len(self.mount) == 1):
+            select_stereo_pair(self.mount)
         if self.beside:
             raise ConfigError("there are [[beside]] and [[mount]]; mount cameras with [[mount]]")
         low, high = self.stereo.sun_elevation_deg
@@ -178,6 +184,11 @@ class StereoTerrain:
         scene = self._scenes.get(exposure.pass_index, partial(self._scene, camera, exposure))
         rays = corner_rays(camera) @ exposure.camera_from_body.as_matrix()
         return scene.picture(exposure.position_m, rays)
+
+    def height_m(self, exposure: Exposure, lat: float, lon: float) -> float:
+        """The ground's height at a place, rad, over the reference sphere."""
+        relief = self._scenario.relief(exposure.ground_seed or 0, self._body)
+        return float(relief.heights(lat, lon))
 
     def _scene(self, camera: Camera, exposure: Exposure) -> Scene:
         pictures = [e for e in self._flight if e.pass_index == exposure.pass_index]

@@ -43,6 +43,8 @@ CASES = (
     DescentCase("118 m, 6.5-2 km, absolute", 0.0, LOW_M, "8 / 12"),
     DescentCase("model wrong by 3 m rms, 20-6.5 km", LOW_M, 3e4, "15 / 25", wrong=True),
     DescentCase("model wrong by 3 m rms, 6.5-2 km", 0.0, LOW_M, "15 / 25", wrong=True),
+    DescentCase("118 m as the Moon differs, 20-6.5 km", LOW_M, 3e4, "20 / 25", way=Way.MOON),
+    DescentCase("118 m as the Moon differs, 6.5-2 km", 0.0, LOW_M, "20 / 25", way=Way.MOON),
     DescentCase("12 m, 20-2 km", 0.0, 3e4, "3 / 4", way=Way.FINE),
     DescentCase("track with 0.02 m/s², 20-6.5 km", LOW_M, 3e4, "6 / 8", ACCELERATION_M_S2),
     DescentCase("track with 0.02 m/s², 6.5-2 km", 0.0, LOW_M, "8 / 12", ACCELERATION_M_S2),
@@ -86,7 +88,10 @@ def run(
             for case in chosen:
                 pictures = descent_flights.pictures_of(output, ground, case.way, progress)
                 wrong = WRONG_SEED if case.wrong else 0
-                catalog = descent_flights.catalog_of(output, pictures, progress, wrong=wrong)
+                stated = case.way is Way.MOON
+                catalog = descent_flights.catalog_of(
+                    output, pictures, progress, wrong=wrong, stated=stated
+                )
                 for track in range(tracks):
                     key = ground, track, case.acceleration_m_s2, case.wrong, case.way
                     if key not in done:

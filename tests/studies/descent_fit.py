@@ -60,7 +60,11 @@ FITTED_WRONG, HELD_WRONG = 4, 5
 SEARCHED_M = 20.0  # 1 sigma of the true position, for the search
 MAX_FACTOR = 8.0
 MAX_SHARE = 0.9
-KEPT = ("landmark_px", "landmark_shift", "landmark_height_postings")  # no sizes of windows
+# No sizes of windows, or of windows over a model whose error is stated.
+KEPT = (
+    *("landmark_px", "landmark_shift", "landmark_height_postings", "altimeter_postings"),
+    *("stated_shift", "stated_height", "stated_region"),
+)
 SHARES = ("common", "fresh_share")
 BEGINNING = b"# How far a window of the terrain model"
 

@@ -20,6 +20,8 @@ from catalog.errors import DataError
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.progress import Progress
 from catalog.rasters import TERRAIN, handle_read_errors, open_raster
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import camera_toml, preset_camera
 from optnav_cli.fix import NoFix, Solution
 from optnav_cli.frames.picture import load_frame_picture
 from optnav_cli.frames.run_settings import InertialSettings
@@ -29,6 +31,7 @@ from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.simulation import descent
 from optnav_cli.simulation.descent import Descent, track_errors
 from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.simulation.sections import MainCamera, TruthSettings
 from tests.studies import flights
 
 CATALOG, MODEL = "tycho_descent", "tycho_gld100_256ppd.tif"
@@ -36,6 +39,14 @@ SPACING_S, SUNS_DEG = 10.0, ((10.0, 20.0), (12.0, 12.0), (18.0, 18.0), (10.0, 10
 LOW_M = 6500.0  # where the published descent on a 118 m model ends
 # The descent whose landmarks are flown alone: lower and slower, so that pictures overlap.
 LOW_FROM_KM, LOW_S, LOW_SPEED_M_S, LOW_SPACING_S, LOW_TILT_DEG = 10.0, 80.0, 700.0, 4.0, 10.0
+# How the ground of Way.MOON differs, and what its catalog states of that.
+MOON_TRUTH = TruthSettings(
+    model_error="gld100", albedo="fractal", phase_law="other", camera="drawn"
+)
+STATED = "gld100"
+# Pixels of its camera along each of the wide one's: the model's error is the limit, not the pixel,
+# and pictures are drawn four times as fast.
+BINNED = 2
 WRONG_M = 3.0  # rms error of the wrong model
 # Cells of a catalog of the 12 m model, deg, and its patches, which overlap so.
 FINE_CELL_DEG, FINE_PYRAMID = 0.03, "\n[pyramid]\nsize = 128\nlevels = 4\n"
@@ -47,6 +58,7 @@ class Way(StrEnum):
     LONG = "descent"
     LOW = "low"
     FINE = "fine"  # over a 12 m model
+    MOON = "moon"  # over ground that differs from its 118 m model as the Moon does from GLD100
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +94,7 @@ def scenario_of(ground: int, way: Way = Way.LONG) -> Descent:
     return msgspec.structs.replace(
         scenario,
         seed=seed,
+        truth=MOON_TRUTH if way is Way.MOON else scenario.truth,
         descent=descent,
         sun=msgspec.structs.replace(scenario.sun, elevation_deg=sun),
         detail=msgspec.structs.replace(scenario.detail, seeds=(relief,)),
@@ -90,13 +103,33 @@ def scenario_of(ground: int, way: Way = Way.LONG) -> Descent:
 
 def pictures_of(output: Path, ground: int, way: Way, progress: Progress) -> Path:
     """The pictures of a way over a ground, in a study's folder; made unless they are there."""
-    place = output / "pictures" / f"{way}-{ground}"
-    return flights.made_pictures(scenario_of(ground, way), place, progress)
+    place, scenario = output / "pictures" / f"{way}-{ground}", scenario_of(ground, way)
+    if way is Way.MOON:
+        camera = flights.text_file(output / "binned.toml", camera_toml(binned_camera()))
+        scenario = msgspec.structs.replace(scenario, camera=MainCamera(str(camera)))
+    return flights.made_pictures(scenario, place, progress)
 
 
-def catalog_of(output: Path, pictures: Path, progress: Progress, *, wrong: int = 0) -> Path:
+def binned_camera() -> Camera:
+    """The descent's camera with each BINNED x BINNED pixels as one."""
+    camera = preset_camera("tsnn2_wide")
+    x, y = camera.principal_point_px
+    return replace(
+        camera,
+        name="binned",
+        width_px=camera.width_px // BINNED,
+        height_px=camera.height_px // BINNED,
+        focal_length_px=camera.focal_length_px / BINNED,
+        principal_point_px=((x + 0.5) / BINNED - 0.5, (y + 0.5) / BINNED - 0.5),
+    )
+
+
+def catalog_of(
+    output: Path, pictures: Path, progress: Progress, *, wrong: int = 0, stated: bool = False
+) -> Path:
     """The catalog that pictures are flown by; built unless it is there.
 
+    stated  whether it states the model's error, as STATED
     wrong  seed of the errors of a wrong model; 0: the model of the truth
     """
     text = resource(f"configs/catalogs/{CATALOG}.toml").read_text(encoding="utf-8")
@@ -108,6 +141,10 @@ def catalog_of(output: Path, pictures: Path, progress: Progress, *, wrong: int =
     elif wrong:
         model = write_wrong_model(output / f"wrong-{wrong}.tif", wrong).name
         config = output / f"wrong-{wrong}.toml"
+    elif stated:
+        line = f'path = "bundled:{MODEL}"\n'
+        text = text.replace(line, f'{line}product = "{STATED}"\n')
+        return flights.built_catalog(output / "stated.toml", text, progress)
     else:
         return flights.built_catalog(output / "tycho.toml", text, progress)
     return flights.built_catalog(config, text.replace(f"bundled:{MODEL}", model), progress)

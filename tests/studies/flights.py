@@ -149,11 +149,16 @@ def navigated(
     return tuple(evaluate_run(place, pictures / "truth.csv").frames)
 
 
+def text_file(path: Path, text: str) -> Path:
+    """A file with this text; left alone when it is right, so that rows can share a folder."""
+    if not (path.is_file() and path.read_text(encoding="utf-8") == text):
+        write_output(path, text.encode(), make_prefix_test(text.encode()[:40]))
+    return path
+
+
 def built_catalog(config: Path, text: str, progress: Progress, bbox: Bbox | None = None) -> Path:
     """The catalog beside a build configuration that is written with this text."""
-    # left alone when it is right, so that rows can run side by side in one folder
-    if not (config.is_file() and config.read_text(encoding="utf-8") == text):
-        write_output(config, text.encode(), make_prefix_test(text.encode()[:40]))
+    text_file(config, text)
     catalog = config.with_suffix(".gpkg")
     build.run(config, output=catalog, bbox=bbox, progress=progress)
     return catalog

@@ -135,8 +135,9 @@ _OTHERS = (
         "A descent to 2 km by windows of the model and landmarks.",
         """Fly descents of one inertial track over several grounds, with several drawn tracks each.
 
-        Errors above and below 6.5 km, with a model that is wrong, with a noisy track, and with
-        landmarks alone near the ground; then, without pictures, landmarks in one state with the
+        Errors above and below 6.5 km, with a model that is wrong, over ground that differs
+        as the Moon does from GLD100, with a noisy track, and with landmarks alone near the ground;
+        then, without pictures, landmarks in one state with the
         pose against landmarks as independent points. Needs nothing but what is bundled; the
         pictures of a ground take a quarter of an hour.""",
         "--grounds 1 --tracks 1",

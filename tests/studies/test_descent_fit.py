@@ -26,6 +26,10 @@ CALIBRATED = {
     "landmark_px": 0.4,
     "landmark_shift": 3e-4,
     "landmark_height_postings": 0.5,
+    "stated_shift": 0.5,
+    "stated_height": 1.0,
+    "stated_region": 0.5,
+    "altimeter_postings": 0.06,
 }
 
 

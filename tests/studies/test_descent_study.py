@@ -7,6 +7,7 @@ import pytest
 import rasterio
 
 from catalog.config import resource
+from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.fix import Fix, Method, NoFix, Solution
 from optnav_cli.reasons import Reason, ReasonCode
 from tests.studies.descent import CASES, DescentResult, filter_ms, report
@@ -15,6 +16,7 @@ from tests.studies.descent_flights import (
     WRONG_M,
     FlownFrame,
     Way,
+    binned_camera,
     scenario_of,
     write_wrong_model,
 )
@@ -46,6 +48,15 @@ def test_each_ground_is_another_one() -> None:
     assert len({each.seed for each in (first, second, low, fine)}) == 4
     assert len({each.detail.seeds for each in (first, second, low, fine)}) == 4
     assert low.descent.from_km < first.descent.from_km
+    moon = scenario_of(0, Way.MOON)
+    assert moon.world.model_error == "gld100"
+    assert moon.descent == first.descent
+
+
+def test_a_binned_camera_sees_the_same_rays() -> None:
+    wide, binned = preset_camera("tsnn2_wide"), binned_camera()
+    corner = np.array([[-0.5, -0.5]])
+    assert binned.unproject(corner) == pytest.approx(wide.unproject(corner), abs=1e-12)
 
 
 def test_the_wrong_model_is_wrong_by_as_much_as_it_says(tmp_path: Path) -> None:

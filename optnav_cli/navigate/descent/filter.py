@@ -279,6 +279,33 @@ class DescentFilter:
         all_squares[used] = squares
         return Update(used, seen.pixels - pixels, all_squares)
 
+    def predict_range(
+        self, beam: FloatArray, by_position: FloatArray, by_ground: tuple[int | None, FloatArray]
+    ) -> tuple[FloatArray, float]:
+        """Linearise a range; return its derivative (state,) and its variance by the state, m^2.
+
+        beam         (3,) derivative of the range by the camera's turn, camera axes, m/rad
+        by_position  (3,) derivative by the camera's position
+        by_ground    a ground point's number, None for none, and the derivative (3,) by its place
+        """
+        row = np.zeros(len(self.state))
+        row[POSITION], row[BIAS] = by_position, beam
+        number, derivative = by_ground
+        if number is not None:
+            row[_list_columns(np.array([number]))] = derivative
+        noise = self._errors.attitude_noise_rad**2 * float(beam @ beam)
+        return row, float(row @ self.covariance @ row) + noise
+
+    def update_range(self, row: FloatArray, misfit_m: float, variance_m2: float) -> None:
+        """Update by a range: measured less predicted, and the variance (1 sigma squared) of that.
+
+        row (state,) of `predict_range`;  variance_m2 of the state's share and the range's own
+        """
+        gain = self.covariance @ row / variance_m2
+        self.state = self.state + gain * misfit_m
+        covariance = self.covariance - variance_m2 * np.outer(gain, gain)
+        self.covariance = 0.5 * (covariance + covariance.T)
+
     def _solve_update(
         self,
         camera: ProjectingCamera,

@@ -24,21 +24,21 @@ from optnav_cli.frames.observation import make_observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.navigate.answers import Answers, FrameMethods, NavigationInputs
+from optnav_cli.navigate.descent.altimeter import Range, update_by_range
 from optnav_cli.navigate.descent.filter import GATE
 from optnav_cli.navigate.descent.relative_landmarks import (
     Landmark,
     LandmarkTracks,
     SoughtLandmark,
+    Updated,
+    join_sightings,
     make_match_rows,
-    make_sightings,
 )
 from optnav_cli.navigate.descent.state import (
-    SCALES,
     JointState,
     WindowError,
     WindowSpread,
     convert_track_errors,
-    make_window_ground,
 )
 from optnav_cli.navigate.descent.windows import (
     MAX_SEARCH_NODES,
@@ -60,18 +60,7 @@ WINDOW_GATE = 9.0
 # With at least so many windows found, most of which the track contradicts, it carries no frame on.
 MIN_AGAINST = 6
 PRIOR_SOURCE = "inertial track"
-# An update is repeated, so often at most, while its windows change the scale of their errors by
-# more than this. The first is made with the largest scale, so that no right window is left out.
-MAX_CHANGE, SCALED_UPDATES = 1.1, 6
-
-
-@dataclass(frozen=True, eq=False)
-class _Updated:
-    """The state after a frame, what was found by its key and whether it was kept, and a remark."""
-
-    state: JointState
-    used: dict[WindowKey | int, bool]
-    remark: Reason = NO_REASON
+BORESIGHT: FloatArray = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +73,7 @@ class DescentMemory:
     spread     of the windows
     solved     whether any frame was
     last_s, last_m, velocity  time, place and velocity of the track as it was last stated
+    ranged_m   (3,) place of the track at the last range that was used
     """
 
     state: FloatArray
@@ -97,6 +87,7 @@ class DescentMemory:
     last_s: float | None
     last_m: FloatArray | None
     velocity: FloatArray | None
+    ranged_m: FloatArray | None = None
 
 
 class DescentNavigator:
@@ -104,7 +95,8 @@ class DescentNavigator:
 
     ground  all points of the catalog that have patches; None without a catalog
     middle_m (3,) a place that the descent goes over, m, body frame
-    windows_above_m  nearer to the ground no windows are sought: landmarks alone, for studies
+    beam     (3,) unit vector of the altimeter, camera frame
+    windows_above_m  nearer to the ground no windows are sought: relative landmarks alone
     """
 
     def __init__(
@@ -114,6 +106,7 @@ class DescentNavigator:
         track: InertialSettings,
         middle_m: FloatArray,
         windows_above_m: float = 0.0,
+        beam: FloatArray = BORESIGHT,
     ) -> None:
         self._inputs, self._ground = inputs, ground
         self._windows = None if ground is None else WindowField(ground, middle_m)
@@ -122,6 +115,8 @@ class DescentNavigator:
         self._solved, self._start_m = False, track.position_sigma_m
         self._last: tuple[float, FloatArray] | None = None
         self._velocity: FloatArray | None = None
+        self._beam = beam
+        self._ranged_m: FloatArray | None = None
 
     def solve(
         self, frame: Frame, camera: Camera, picture: Picture, answers: Answers | None = None
@@ -146,7 +141,10 @@ class DescentNavigator:
         values = PicturePyramid(loaded.picture.values)
         inputs = self._inputs
         context = FrameContext(loaded, values, self._ground, inputs.settings, inputs.matcher)
-        row = self._solve_frame(context, self._windows, stated)
+        seen = None
+        if frame.range_m is not None and frame.range_sigma_m is not None:
+            seen = Range(self._beam, frame.range_m, frame.range_sigma_m)
+        row = self._solve_frame(context, self._windows, stated, seen)
         return row.with_remark(jump) if jump else row
 
     def ground_m(self, place_m: FloatArray) -> float | None:
@@ -169,9 +167,10 @@ class DescentNavigator:
         ]
         last_s, last_m = self._last or (None, None)
         windows = keys, state.errors, state.spread
-        return DescentMemory(
+        memory = DescentMemory(
             *arrays, *windows, landmarks, self._solved, last_s, last_m, self._velocity
         )
+        return replace(memory, ranged_m=self._ranged_m)
 
     def restore(self, memory: DescentMemory) -> None:
         """Go on as the descent that gave this memory."""
@@ -180,6 +179,7 @@ class DescentNavigator:
         self._state.restore(keys, memory.errors, memory.spread)
         self._tracks.all = list(memory.landmarks)
         self._solved, self._velocity = memory.solved, memory.velocity
+        self._ranged_m = memory.ranged_m
         if memory.last_s is not None and memory.last_m is not None:
             self._last = memory.last_s, memory.last_m
 
@@ -207,7 +207,9 @@ class DescentNavigator:
         )
         return Reason(ReasonCode.TRACK_JUMP, text)
 
-    def _solve_frame(self, frame: FrameContext, windows: WindowField, stated: Pose) -> Solution:
+    def _solve_frame(
+        self, frame: FrameContext, windows: WindowField, stated: Pose, ranged: Range | None
+    ) -> Solution:
         seen = frame.observation
         prior_m = self._state.filter.pose(stated).position_m
         sought = self._search(frame, windows, stated)
@@ -223,7 +225,9 @@ class DescentNavigator:
                 nothing = NoFix(reason, Method.DESCENT, evidence)
                 return Solution(seen.file, seen.utc, nothing, PRIOR_SOURCE, prior_m)
             text = f"carried on by the inertial track: {reason}"
-            made = _Updated(self._state.copy(), {}, Reason(ReasonCode.CARRIED, text))
+            made = Updated(self._state.copy(), {}, Reason(ReasonCode.CARRIED, text))
+        if ranged is not None:
+            made = self._use_range(made, windows, stated, ranged)
         self._state, self._solved = made.state, True
         fix = self._make_fix(frame, stated, sought, tracks, made)
         used = {key for key, good in made.used.items() if good and isinstance(key, int)}
@@ -232,6 +236,18 @@ class DescentNavigator:
         taken = [row.measured_px for row in rows if row.used and row.measured_px is not None]
         self._tracks.add(frame, stated, self._state, windows, np.array(taken).reshape(-1, 2))
         return Solution(seen.file, seen.utc, fix, PRIOR_SOURCE, prior_m)
+
+    def _use_range(
+        self, made: Updated, windows: WindowField, stated: Pose, ranged: Range
+    ) -> Updated:
+        """Update what the picture gave by the altimeter's range, or say why not."""
+        before, here = self._ranged_m, stated.position_m
+        moved_m = np.inf if before is None else float(np.linalg.norm(here - before))
+        refused = update_by_range(made.state, windows, stated, ranged, moved_m)
+        if refused:
+            return replace(made, remark=made.remark.add_sentence(refused))
+        self._ranged_m = here
+        return made
 
     def _is_carried(self, sought: Sequence[SoughtWindow], tracks: Sequence[SoughtLandmark]) -> bool:
         """Whether a frame that measures nothing is known from those before it.
@@ -254,7 +270,7 @@ class DescentNavigator:
         stated: Pose,
         sought: Sequence[SoughtWindow],
         tracks: Sequence[SoughtLandmark],
-        made: _Updated,
+        made: Updated,
     ) -> Fix:
         """Make the frame's fix after its update."""
         pose, covariance = (
@@ -295,8 +311,8 @@ class DescentNavigator:
             return []
         pose, covariance = joint.pose(stated), joint.compute_pose_covariance()
         sigma_m = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
-        level = windows.level(view.metres_per_pixel)
-        finest = windows.posting_m(level or 0) / OVERSAMPLED
+        level, _ = windows.choose_level(view, frame.camera) or (0, 0)
+        finest = windows.posting_m(level) / OVERSAMPLED
         if sigma_m * frame.settings.match.search_sigmas > MAX_SEARCH_NODES * finest:
             fix = self._solve_by_points(frame, pose, sigma_m)
             if fix is not None:
@@ -345,7 +361,7 @@ class DescentNavigator:
         stated: Pose,
         sought: Sequence[SoughtWindow],
         tracks: Sequence[SoughtLandmark],
-    ) -> _Updated:
+    ) -> Updated:
         """Update the state by the matched windows and landmarks. Raises NoSolutionError."""
         matched = [sight for sight in sought if not sight.match.reason]
         landmarks = [sight for sight in tracks if not sight.match.reason]
@@ -358,7 +374,7 @@ class DescentNavigator:
         seen = len(matched) + len(landmarks)
         for gate in (WINDOW_GATE, GATE) if matched else (GATE,):
             try:
-                made = _join(self._state, frame, stated, matched, landmarks, gate)
+                made = join_sightings(self._state, frame, stated, matched, landmarks, gate)
             except NoSolutionError as error:
                 reason = error
                 continue
@@ -373,7 +389,7 @@ class DescentNavigator:
 
     def _update_after_jump(
         self, frame: FrameContext, stated: Pose, found: Sequence[SoughtWindow]
-    ) -> _Updated:
+    ) -> Updated:
         """Update with a track that may have jumped. Raises NoSolutionError."""
         offsets = np.array([sight.match.pixel for sight in found]) - [
             sight.expected_px for sight in found
@@ -384,7 +400,7 @@ class DescentNavigator:
         offset_m = offset_m * distance / frame.camera.coarse_focal_px
         free = self._state.copy()
         free.filter.add_jump(3.0 * offset_m, 0.0)
-        made = _join(free, frame, stated, found, [])
+        made = join_sightings(free, frame, stated, found, [])
         agreeing = sum(made.used.values())
         # A jump that the track's own positions do not show needs eight windows that agree: six near
         # the ground have agreed on a position 77 m off.
@@ -400,43 +416,3 @@ class DescentNavigator:
             "by a manoeuvre that it does not hold"
         )
         return replace(made, remark=Reason(ReasonCode.TRACK_JUMP, text))
-
-
-def _join(
-    state: JointState,
-    frame: FrameContext,
-    stated: Pose,
-    found: Sequence[SoughtWindow],
-    landmarks: Sequence[SoughtLandmark],
-    gate: float = GATE,
-) -> _Updated:
-    """Update a copy of a state by windows and landmarks; drop windows that do not agree.
-
-    Repeated from the start while new windows change the scale of the model's error.
-    """
-    by_position = np.zeros((0, 2, 3))
-    if found:
-        places = np.array([sight.window.place_m for sight in found])
-        by_position = predict(frame.camera, state.filter.pose(stated), places)[1][:, :, :3]
-    new = [k for k, sight in enumerate(found) if sight.window.key not in state.keys]
-    grounds = [make_window_ground(found[k].window, found[k].match, by_position[k]) for k in new]
-    places_m = np.array([found[k].window.place_m for k in new]).reshape(-1, 3)
-    scale = state.spread.scale if state.spread.count else float(SCALES[-1])
-    for _ in range(SCALED_UPDATES):
-        joined = state.copy()
-        if new:
-            joined.join_windows(
-                [each.compute_error(state.sizes, scale) for each in grounds], places_m
-            )
-        seen = make_sightings(state, frame, found, by_position, landmarks, scale)
-        update = joined.update(frame.camera, stated, seen, gate)
-        if 2 * int(update.used[: len(found)].sum()) < len(found):
-            break  # a track that jumped or wrong matches, not windows that scatter
-        joined.spread = state.spread.add_windows(grounds, update.squares[new], scale, state.sizes)
-        change = joined.spread.scale / scale
-        if 1.0 / MAX_CHANGE < change < MAX_CHANGE:
-            break
-        scale = joined.spread.scale
-    kept = {sight.key: bool(good) for sight, good in zip(seen, update.used, strict=True)}
-    joined.keep({key for key in joined.keys if isinstance(key, int) or kept.get(key, False)})
-    return _Updated(joined, kept)

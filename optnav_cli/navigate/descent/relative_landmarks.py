@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.geometry.vectors import unit
 from optnav_cli.control_points.expectation import FrameContext
 from optnav_cli.control_points.point_match import PointMatch
-from optnav_cli.estimation.models.points import Pose
+from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.fix import MatchKind, MatchRow
+from optnav_cli.navigate.descent.filter import GATE
 from optnav_cli.navigate.descent.landmark import (
     MARGIN_NODES,
     NODE_PX,
@@ -26,7 +26,7 @@ from optnav_cli.navigate.descent.landmark import (
     cut_patch,
     match_patch,
 )
-from optnav_cli.navigate.descent.state import JointState, Sighting
+from optnav_cli.navigate.descent.state import SCALES, JointState, Sighting, make_window_ground
 from optnav_cli.navigate.descent.windows import SoughtWindow, WindowField, WindowKey
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
@@ -34,6 +34,9 @@ SQUARES = 7
 # Half the base of the ground's slope about a landmark: postings of the model, or half its patch if
 # that is more. A plane of less ground than its patch shows made matches twice as far off.
 PLANE_NODES = 0.5 * PATCH_NODES
+# An update is repeated, so often at most, while its windows change the scale of their errors by
+# more than this. The first is made with the largest scale, so that no right window is left out.
+MAX_CHANGE, SCALED_UPDATES = 1.1, 6
 LOST = Reason(ReasonCode.LOST, "not found in two pictures in a row")
 OUT_OF_VIEW = Reason(ReasonCode.OUT_OF_VIEW, "left the picture")
 
@@ -174,21 +177,14 @@ class LandmarkTracks:
         self, frame: FrameContext, pose: Pose, windows: WindowField, pixel: FloatArray
     ) -> Landmark | None:
         """Make a landmark at a pixel; None where its ray meets no known ground or it is cut."""
-        ray = frame.camera.unproject(pixel[None]) @ pose.camera_from_body.as_matrix()
-        height = 0.0
-        for _ in range(4):
-            along = distance_to_sphere(pose.position_m, ray, windows.map.radius_m + height)
-            if not np.isfinite(along).all():
-                return None
-            point = pose.position_m + float(along[0]) * ray[0]
-            ground = windows.ground_m(point)
-            if ground is None:
-                return None
-            height = ground
+        ray = frame.camera.unproject(pixel[None])[0] @ pose.camera_from_body.as_matrix()
+        point = windows.meet_ray(pose.position_m, ray)
+        if point is None:
+            return None
         up = unit(point)
         sight, distance = unit(pose.position_m - point), np.linalg.norm(pose.position_m - point)
         posting = NODE_PX * float(distance) / frame.camera.coarse_focal_px
-        normal = self._fit_normal(windows, point, PLANE_NODES * posting)
+        normal = windows.fit_normal(point, PLANE_NODES * posting)
         if min(sight @ up, sight @ normal) < np.cos(np.radians(65.0)):
             return None
         patch = cut_patch(frame.picture, frame.camera, pose, point, normal)
@@ -196,20 +192,6 @@ class LandmarkTracks:
             return None
         file = frame.observation.file
         return Landmark(0, file, file, patch, normal, point, np.eye(3))
-
-    def _fit_normal(self, windows: WindowField, place: FloatArray, half_m: float) -> FloatArray:
-        """Fit the model's ground normal over a base; the radial direction where the model ends."""
-        up = unit(place)
-        axes = body_from_local(*(float(v) for v in latlon_from_xyz(place)[:2]))
-        base = max(0.5 * windows.posting_m(0), half_m)
-        slopes = []
-        for axis in (axes[:, 0], axes[:, 1]):
-            ends = [windows.ground_m(place + sign * base * axis) for sign in (1.0, -1.0)]
-            if ends[0] is None or ends[1] is None:
-                return up
-            slopes.append((ends[0] - ends[1]) / (2.0 * base))
-        normal: FloatArray = unit(up - slopes[0] * axes[:, 0] - slopes[1] * axes[:, 1])
-        return normal
 
     def _update_patch(
         self, frame: FrameContext, pose: Pose, state: JointState, number: int, sight: SoughtLandmark
@@ -266,6 +248,55 @@ def make_sightings(
             covariance = fresh + match.covariance_px2
             seen.append(Sighting(track.landmark.number, match.pixel, covariance))
     return seen
+
+
+@dataclass(frozen=True, eq=False)
+class Updated:
+    """The state after a frame, what was found by its key and whether it was kept, and a remark."""
+
+    state: JointState
+    used: dict[WindowKey | int, bool]
+    remark: Reason = NO_REASON
+
+
+def join_sightings(
+    state: JointState,
+    frame: FrameContext,
+    stated: Pose,
+    found: Sequence[SoughtWindow],
+    landmarks: Sequence[SoughtLandmark],
+    gate: float = GATE,
+) -> Updated:
+    """Update a copy of a state by windows and landmarks; drop windows that do not agree.
+
+    Repeated from the start while new windows change the scale of the model's error.
+    """
+    by_position = np.zeros((0, 2, 3))
+    if found:
+        places = np.array([sight.window.place_m for sight in found])
+        by_position = predict(frame.camera, state.filter.pose(stated), places)[1][:, :, :3]
+    new = [k for k, sight in enumerate(found) if sight.window.key not in state.keys]
+    grounds = [make_window_ground(found[k].window, found[k].match, by_position[k]) for k in new]
+    places_m = np.array([found[k].window.place_m for k in new]).reshape(-1, 3)
+    scale = state.spread.scale if state.spread.count else float(SCALES[-1])
+    for _ in range(SCALED_UPDATES):
+        joined = state.copy()
+        if new:
+            joined.join_windows(
+                [each.compute_error(state.sizes, scale) for each in grounds], places_m
+            )
+        seen = make_sightings(state, frame, found, by_position, landmarks, scale)
+        update = joined.update(frame.camera, stated, seen, gate)
+        if 2 * int(update.used[: len(found)].sum()) < len(found):
+            break  # a track that jumped or wrong matches, not windows that scatter
+        joined.spread = state.spread.add_windows(grounds, update.squares[new], scale, state.sizes)
+        change = joined.spread.scale / scale
+        if 1.0 / MAX_CHANGE < change < MAX_CHANGE:
+            break
+        scale = joined.spread.scale
+    kept = {sight.key: bool(good) for sight, good in zip(seen, update.used, strict=True)}
+    joined.keep({key for key in joined.keys if isinstance(key, int) or kept.get(key, False)})
+    return Updated(joined, kept)
 
 
 OUTLIER = Reason(ReasonCode.OUTLIER, "disagrees with the others")

@@ -19,11 +19,18 @@ from catalog.config import Positive, load_toml, resource
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.geometry.vectors import ARCSEC, unit
 from optnav_cli.camera.camera import Camera
+from optnav_cli.control_points.field import NOT_STATED, StatedSigmas
 from optnav_cli.control_points.point_match import PointMatch
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.navigate.descent.filter import GATE, DescentFilter, TrackErrors, Update
-from optnav_cli.navigate.descent.windows import SIDE, Window, WindowKey, compute_overlap
+from optnav_cli.navigate.descent.windows import (
+    SIDE,
+    Window,
+    WindowField,
+    WindowKey,
+    compute_overlap,
+)
 
 FILE = "configs/models/descent.toml"
 Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
@@ -48,6 +55,10 @@ class DescentErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     landmark_px: Positive
     landmark_shift: Positive
     landmark_height_postings: Positive
+    stated_shift: Positive
+    stated_height: Positive
+    stated_region: Positive
+    altimeter_postings: Positive
 
 
 @cache
@@ -76,6 +87,7 @@ class WindowGround:
     axes      (3, 3) east, north, up as columns, body frame
     left_m2   (2, 2) what its first match leaves over, as ground east and north
     pixel_m2  (2, 2) of a pixel's sigma along both axes there, the same way
+    stated    errors by the stated error of the terrain model
     """
 
     key: WindowKey
@@ -83,6 +95,7 @@ class WindowGround:
     posting_m: float
     left_m2: FloatArray
     pixel_m2: FloatArray
+    stated: StatedSigmas = NOT_STATED
 
     def compute_error(self, sizes: DescentErrorSizes, scale: float = 1.0) -> WindowError:
         """Compute its error; scale multiplies the match's remainder: see `WindowSpread`."""
@@ -90,6 +103,10 @@ class WindowGround:
         high = sizes.height_postings * self.posting_m
         common = sizes.common * np.diag([sigma_m**2, sigma_m**2, high**2])
         ground_m2 = (1.0 - sizes.common) * np.diag([sigma_m**2, sigma_m**2, high**2])
+        region = sizes.stated_region * self.stated.region_shift_m
+        common += np.diag([region, region, sizes.stated_height * self.stated.region_height_m]) ** 2
+        shift = sizes.stated_shift * self.stated.shift_m
+        ground_m2 += np.diag([shift, shift, sizes.stated_height * self.stated.height_m]) ** 2
         ground_m2[:2, :2] += scale * sizes.remainder * self.left_m2
         values, vectors = np.linalg.eigh(ground_m2)
         roots = np.sqrt(common), vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
@@ -98,6 +115,7 @@ class WindowGround:
     def compute_level_m2(self, sizes: DescentErrorSizes) -> tuple[FloatArray, FloatArray]:
         """Compute (2, 2) of a match's error, east and north: constant and scaled part."""
         sigma_m = sizes.own_postings * SIDE / self.key.side * self.posting_m
+        sigma_m = float(np.hypot(sigma_m, sizes.stated_shift * self.stated.shift_m))
         stays = sigma_m**2 * np.eye(2) + sizes.fresh_px**2 * self.pixel_m2
         return stays, (sizes.remainder + sizes.fresh_share) * self.left_m2
 
@@ -112,7 +130,9 @@ def make_window_ground(window: Window, match: PointMatch, by_position: FloatArra
     left = np.zeros((2, 2))
     if match.covariance_px2 is not None:
         left = inverse @ match.covariance_px2 @ inverse.T
-    return WindowGround(window.key, axes, window.posting_m, left, inverse @ inverse.T)
+    size_m = window.key.side * window.posting_m
+    stated = window.field.points.compute_stated_errors(window.place_m, size_m)
+    return WindowGround(window.key, axes, window.posting_m, left, inverse @ inverse.T, stated)
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,6 +348,24 @@ class JointState:
         if match.covariance_px2 is not None:
             fresh = fresh + scale * self.sizes.fresh_share * match.covariance_px2
         return fresh
+
+    def describe_ground(
+        self, windows: WindowField, place_m: FloatArray
+    ) -> tuple[FloatArray, float, float]:
+        """Describe how far one point of the model's ground (3,) may be from its height.
+
+        Returns a sigma of what all ground has in common, m along the radial direction (3,); one of
+        the point's own, m; and the side of the ground that shares it, m.
+        """
+        posting, sizes = windows.posting_m(0), self.sizes
+        stated = windows.points.compute_stated_errors(place_m, 0.0)
+        high = sizes.height_postings * posting
+        common = np.hypot(
+            np.sqrt(sizes.common) * high, sizes.stated_height * stated.region_height_m
+        )
+        own = sizes.altimeter_postings * posting, sizes.stated_height * stated.height_m
+        width = windows.points.resolution_m(place_m) or posting
+        return unit(place_m) * common, float(np.hypot(*own)), width
 
     def compute_sunward_px(
         self, window: Window, by_position: FloatArray, sun_body: FloatArray

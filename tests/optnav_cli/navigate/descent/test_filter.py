@@ -57,6 +57,21 @@ def test_the_step_of_an_update_is_the_derivative_of_its_pixels() -> None:
         assert slope == pytest.approx(wanted, rel=1e-3, abs=1e-6)
 
 
+def test_a_range_moves_the_state_along_its_derivative_and_narrows_it() -> None:
+    flown = DescentFilter(ERRORS)
+    flown.add_points(np.zeros((1, 3)), np.eye(3))
+    beam, up = np.array([0.0, 1e3, 0.0]), np.array([1.0, 0.0, 0.0])
+    row, variance = flown.predict_range(beam, up, (0, -up))
+    noise = ERRORS.attitude_noise_rad**2 * 1e6
+    expected = 300.0**2 + 1.0 + 1e6 * ERRORS.attitude_rad**2 + noise
+    assert variance == pytest.approx(expected)
+    flown.update_range(row, 50.0, variance + 4.0)
+    assert flown.state[0] == pytest.approx(50.0 * 300.0**2 / (expected + 4.0))
+    left = 300.0**2 - 300.0**4 / (expected + 4.0)
+    assert flown.covariance[0, 0] == pytest.approx(left)
+    assert np.linalg.eigvalsh(flown.covariance).min() >= 0.0
+
+
 def test_a_linear_descent_is_the_least_squares_of_all_its_sightings() -> None:
     """Three frames of four ground points, against the normal equations of all at once."""
     rng = np.random.default_rng(2)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.api import build_catalog
 from catalog.config import resource
-from catalog.errors import DataError, NoSolutionError, NothingToDoError
+from catalog.errors import ConfigError, DataError, NoSolutionError, NothingToDoError
 from catalog.geometry.vectors import squared_distance
 from catalog.terrain.dem.source import DemSettings
 from optnav_cli.api import evaluate, navigate_folder, report
@@ -35,7 +35,12 @@ from optnav_cli.output.tables import read_matches
 from optnav_cli.reasons import NO_REASON, ReasonCode
 from optnav_cli.simulation.descent import Descent, DescentSettings
 from optnav_cli.simulation.passes import SunSettings
-from optnav_cli.simulation.sections import DetailSettings, GlobeSettings, MainCamera
+from optnav_cli.simulation.sections import (
+    AltimeterSection,
+    DetailSettings,
+    GlobeSettings,
+    MainCamera,
+)
 from tests.optnav_cli.simulation.simulated import simulate
 from tests.studies import descent_flights
 
@@ -76,6 +81,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ),
         sun=SunSettings((15.0, 15.0)),
         inertial=InertialSettings(),
+        altimeter=AltimeterSection(sigma_m=1.0),
     )  # fmt: skip
     simulate(scenario, folder / "pictures", workers=1)
     return folder / "pictures"
@@ -139,6 +145,72 @@ def test_a_descent_is_flown_by_windows_inside_its_sigmas(undisturbed: Path, pict
         assert squared_distance(off, row.fix.covariance_m2) < 16.0
 
 
+def test_ranges_narrow_the_height_and_are_not_refused(
+    undisturbed: Path, pictures: Path, flown: Callable[[Callable[[Path], None]], Path]
+) -> None:
+    def bare(number: int, row: dict[str, str]) -> None:
+        row["range_m"] = row["range_sigma_m"] = ""
+
+    def sigma_up(run: Path) -> float:
+        fix = read_run(run).solutions[0].fix
+        assert fix is not None
+        up = fix.position_m / np.linalg.norm(fix.position_m)
+        return float(np.sqrt(up @ fix.covariance_m2 @ up))
+
+    with_ranges = read_run(undisturbed).solutions
+    assert not any("range" in row.reason for row in with_ranges)
+    assert sigma_up(undisturbed) < 0.95 * sigma_up(flown(lambda folder: change_rows(folder, bare)))
+
+
+def test_a_range_that_contradicts_the_picture_is_refused_with_both(
+    flown: Callable[[Callable[[Path], None]], Path],
+) -> None:
+    def wrong(number: int, row: dict[str, str]) -> None:
+        if number == 2:
+            row["range_m"] = str(float(row["range_m"]) + 300.0)
+
+    solutions = read_run(flown(lambda folder: change_rows(folder, wrong))).solutions
+    assert all(row.solved for row in solutions)
+    said = re.search(r"range of (\S+) m is not used.* say (\S+) m with a", solutions[2].reason)
+    assert said is not None
+    assert float(said[1]) - float(said[2]) == pytest.approx(300.0, abs=40.0)
+    assert not any("range" in row.reason for row in (solutions[0], solutions[1], solutions[3]))
+
+
+@pytest.mark.parametrize(
+    ("measured", "sigma", "what"),
+    [
+        ("5000", "", "range_sigma_m is empty"),
+        ("-3", "1", "range_m is -3"),
+        ("5000", "0", "range_sigma_m is 0"),
+        ("5000", "6000", "range_sigma_m is 6000"),
+    ],
+)
+def test_a_range_that_is_none_is_its_rows_problem(
+    pictures: Path, tmp_path: Path, measured: str, sigma: str, what: str
+) -> None:
+    folder = tmp_path / "pictures"
+    shutil.copytree(pictures, folder)
+
+    def wrong(number: int, row: dict[str, str]) -> None:
+        if number == 1:
+            row["range_m"], row["range_sigma_m"] = measured, sigma
+
+    change_rows(folder, wrong)
+    frames = read_folder(folder).frames
+    assert what in (frames[1].problem or "")
+    assert frames[0].problem is None
+
+
+def test_a_beam_that_points_back_is_refused(pictures: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "pictures"
+    shutil.copytree(pictures, folder)
+    text = (folder / "run.toml").read_text().replace("beam = [0.0, 0.0, 1.0]", "beam = [0, 0, -1]")
+    (folder / "run.toml").write_text(text)
+    with pytest.raises(ConfigError, match=r"\[altimeter\] beam"):
+        read_folder(folder)
+
+
 def test_a_track_that_jumps_by_5_km_is_said(
     flown: Callable[[Callable[[Path], None]], Path],
 ) -> None:
@@ -165,7 +237,7 @@ def test_landmarks_outvote_a_few_wrong_windows(
         used = {k: k < 5 for k in range(11)} | {100 + k: True for k in range(len(args[4]))}
         return SimpleNamespace(used=used)
 
-    monkeypatch.setattr(descent, "_join", joined)
+    monkeypatch.setattr(descent, "join_sightings", joined)
     with closing(FrameWorker(RunInputs(pictures, [catalog]))) as worker:
         navigator = worker.make_descent(InertialSettings())
         assert navigator is not None
@@ -192,7 +264,7 @@ def test_a_few_windows_against_the_track_are_no_jump_of_it(
     frame: Any = SimpleNamespace(camera=SimpleNamespace(coarse_focal_px=1000.0))
     stated = Pose(place_m + [2e3, 0.0, 0.0], Rotation.identity())
     used = dict.fromkeys(range(count), True)
-    monkeypatch.setattr(descent, "_join", lambda state, *_: descent._Updated(state, used))
+    monkeypatch.setattr(descent, "join_sightings", lambda state, *_: descent.Updated(state, used))
     with closing(FrameWorker(RunInputs(pictures, [catalog]))) as worker:
         navigator = worker.make_descent(InertialSettings())
         assert navigator is not None

@@ -1,12 +1,28 @@
 """Windows in the joint state: how far they err alike, whatever order they join in."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from catalog.arrays import FloatArray
+from optnav_cli.camera.camera_file import preset_camera
+from optnav_cli.control_points.field import StatedSigmas
 from optnav_cli.navigate.descent.filter import TRACK, TrackErrors
-from optnav_cli.navigate.descent.state import JointState, WindowError
-from optnav_cli.navigate.descent.windows import STEP, WindowKey, compute_overlap
+from optnav_cli.navigate.descent.state import (
+    JointState,
+    WindowError,
+    WindowGround,
+    load_descent_sizes,
+)
+from optnav_cli.navigate.descent.windows import (
+    STEP,
+    SeenGround,
+    WindowField,
+    WindowKey,
+    compute_overlap,
+)
 
 COMMON_SHARE = 0.15
 WINDOWS = TRACK + 3  # what windows of a level have in common stands before them
@@ -31,7 +47,48 @@ def test_windows_err_alike_as_far_as_they_share_ground() -> None:
     assert compute_overlap(here, WindowKey(0, 24, 0, 12 // STEP)) == pytest.approx(0.5)
     # a small window inside a large one: the root of its share
     assert compute_overlap(here, WindowKey(0, 12, 0, 0)) == pytest.approx(0.5)
-    assert compute_overlap(here, WindowKey(1, 24, 0, 0)) == 0.0
+    # of the next level, whose postings are twice as wide: a quarter of its ground is the first's
+    assert compute_overlap(here, WindowKey(1, 24, 0, 0)) == pytest.approx(0.5)
+    assert compute_overlap(WindowKey(1, 24, 0, 9), here) == 0.0
+    assert compute_overlap(WindowKey(1, 24, 0, 12), WindowKey(0, 24, 0, 24)) == pytest.approx(0.5)
+
+
+def choose(distance_m: float, resolution_m: float | None) -> tuple[int, int] | None:
+    """Choose the level and side over patches of 118, 237 and 474 m."""
+    field = object.__new__(WindowField)
+    layer = SimpleNamespace(postings_m=118.45 * np.array([1.0, 2.0, 4.0]))
+    points: Any = SimpleNamespace(layers=[layer], resolution_m=lambda place: resolution_m)
+    field.points = points
+    camera = preset_camera("tsnn2_wide")
+    view = SeenGround(np.zeros(3), distance_m / camera.coarse_focal_px, np.zeros((0, 3)))
+    return field.choose_level(view, camera)
+
+
+@pytest.mark.parametrize("distance_m", [2e3, 5e3, 2e4])
+def test_windows_over_a_model_of_coarse_resolution_are_wider(distance_m: float) -> None:
+    level, side = choose(distance_m, None) or (9, 0)
+    assert level == 0
+    coarse, wide = choose(distance_m, 1600.0) or (9, 0)
+    if distance_m > 4e3:
+        # six waves, or what the picture shows
+        assert (coarse, wide) == (1, 40 if distance_m > 1e4 else 16)
+    else:  # a picture from 2 km shows too little for a window of the next level
+        assert (coarse, wide) == (level, side)
+
+
+def test_what_a_model_states_widens_its_windows() -> None:
+    sizes = load_descent_sizes()
+    axes, none = np.eye(3), np.zeros((2, 2))
+    key = WindowKey(0, 24, 0, 0)
+    plain = WindowGround(key, axes, 118.45, none, np.eye(2)).compute_error(sizes)
+    stated = StatedSigmas(100.0, 20.0, 24.0, 7.0)
+    error = WindowGround(key, axes, 118.45, none, np.eye(2), stated).compute_error(sizes)
+    gained = np.diag(error.own_m) ** 2 - np.diag(plain.own_m) ** 2
+    shift = (sizes.stated_shift * 100.0) ** 2
+    assert gained == pytest.approx([shift, shift, (sizes.stated_height * 20.0) ** 2])
+    shared = np.diag(error.common_m) ** 2 - np.diag(plain.common_m) ** 2
+    region = (sizes.stated_region * 24.0) ** 2
+    assert shared == pytest.approx([region, region, (sizes.stated_height * 7.0) ** 2])
 
 
 def test_the_order_in_which_windows_join_does_not_matter() -> None:
