@@ -7,7 +7,7 @@ the ship's origin over the mean ground below it, of an area of 192 px.
 An error of the mounting moves all windows alike: it is stated apart from the scatter.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -162,6 +162,25 @@ def measure_height(
         nodes = _Nodes.locate(rig, rays, inverse, shifts)
         inverse = nodes.smooth_to_grid(inverse.shape)
     return _average_height(rig, nodes, down, inverse)
+
+
+def refine_inverse(
+    first: Float32Array, second: Float32Array, rig: Rig, inverse: FloatArray, share: float
+) -> FloatArray | None:
+    """Refine inverse distances (rows, cols) by parallax; None where too few windows show it.
+
+    share  widest sigma of a window's inverse distance, of that distance: near the direction of
+           the base there is no parallax
+    """
+    rays = rig.compute_grid_rays()
+    for size, blur in ROUNDS[2:]:
+        through = resample(second, _predict_second_pixels(rig, rays, inverse))
+        nodes = _Nodes.locate(rig, rays, inverse, measure_shifts(first, through, size, blur))
+        sure = nodes.usable & (nodes.sigma < share * np.abs(nodes.inverse))
+        if int(sure.sum()) < MIN_WINDOWS:
+            return None
+        inverse = replace(nodes, usable=sure).smooth_to_grid(inverse.shape)
+    return inverse
 
 
 def _guess_height(

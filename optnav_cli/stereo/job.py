@@ -21,9 +21,17 @@ from optnav_cli.frames.tables import HEIGHTS
 from optnav_cli.navigate.history import SAME_TIME_S
 from optnav_cli.output.manifest import hash_files, output_folder
 from optnav_cli.output.wording import align_table
+from optnav_cli.reasons import ReasonCode
 from optnav_cli.stereo.height import StereoHeight, measure_height
 from optnav_cli.stereo.rig import Eye, Rig
-from optnav_cli.stereo.velocity import SideVelocity, Step, measure_velocity
+from optnav_cli.stereo.velocity import (
+    BeamRange,
+    SideVelocity,
+    Step,
+    level_ground,
+    measure_one_eyed_velocity,
+    measure_velocity,
+)
 
 KIND, STAGE = "stereo heights", "stereo"
 HEIGHTS_CSV = "heights.csv"
@@ -81,16 +89,12 @@ def measure_stereo_folder(folder: Path, output: Path, progress: Progress) -> lis
     """
     with output_folder(output, KIND, "stereo", [folder], STAGE) as out:
         read = read_folder(folder)
-        mounts, rig = build_rig(read)
-        pairs = list(pair_frames(read.frames, mounts))
-        rows: list[StereoRow] = []
-        with progress.stage(STAGE, len(pairs), "pair") as bar:
-            before: PairState | None = None
-            for pair in pairs:
-                row, state = _measure_pair(read, rig, pair, before)
-                before = state or before
-                rows.append(row)
-                bar.advance()
+        eye = find_ranged_eye(read)
+        if eye is None:
+            mounts, rig = build_rig(read)
+            rows = _measure_pairs(read, rig, list(pair_frames(read.frames, mounts)), progress)
+        else:
+            rows = _measure_singles(read, eye, progress)
         HEIGHTS.write(out.path / HEIGHTS_CSV, (row.cells() for row in rows))
         files = [frame.file for frame in read.frames]
         out.inputs = {"folder": folder, "pictures_sha256": hash_files(folder, files)}
@@ -99,6 +103,107 @@ def measure_stereo_folder(folder: Path, output: Path, progress: Progress) -> lis
         if not solved:
             out.failure = f"{folder}: no pair gives a height; the first says: {rows[0].reason}"
     return rows
+
+
+def _measure_pairs(
+    folder: Folder,
+    rig: Rig,
+    pairs: Sequence[tuple[Frame | None, Frame | None, str]],
+    progress: Progress,
+) -> list[StereoRow]:
+    """Measure pairs in order of time."""
+    rows: list[StereoRow] = []
+    before: PairState | None = None
+    with progress.stage(STAGE, len(pairs), "pair") as bar:
+        for pair in pairs:
+            row, state = _measure_pair(folder, rig, pair, before)
+            before = state or before
+            rows.append(row)
+            bar.advance()
+    return rows
+
+
+@dataclass(frozen=True, eq=False)
+class _RangedState:
+    """An earlier picture of one camera with its range, for the velocity of a later one."""
+
+    frame: Frame
+    picture: Float32Array
+    seen: BeamRange
+    down: FloatArray
+    ship_from_body: Rotation | None
+
+    @property
+    def turn_sigma_rad(self) -> float:
+        sigma = self.frame.own_attitude_sigma_rad
+        return math.inf if sigma is None else sigma
+
+
+def find_ranged_eye(folder: Folder) -> Eye | None:
+    """Find the camera of a folder with one camera and an altimeter; None for a stereo pair.
+
+    Without a [[mount]] the camera's frame is the ship's.
+    """
+    mounts, names = folder.settings.mount, sorted(folder.cameras)
+    if len(mounts) > 1 or not any(frame.range_m is not None for frame in folder.frames):
+        return None
+    if not mounts and len(names) != 1:
+        return None
+    mount = mounts[0] if mounts else MountSettings(camera=names[0], position_m=(0.0, 0.0, 0.0))
+    if mount.camera not in folder.cameras:
+        return None
+    return Eye.mount_camera(mount, folder.cameras[mount.camera])
+
+
+def _measure_singles(folder: Folder, eye: Eye, progress: Progress) -> list[StereoRow]:
+    """Measure the pictures of one camera with an altimeter, in order of time."""
+    frames = [f for f in folder.frames if f.problem is not None or f.camera == eye.camera.name]
+    frames.sort(key=lambda frame: frame.tdb_s or 0.0)
+    rows: list[StereoRow] = []
+    before: _RangedState | None = None
+    with progress.stage(STAGE, len(frames), "picture") as bar:
+        for frame in frames:
+            row, state = _measure_single(folder, eye, frame, before)
+            before = state or before
+            rows.append(row)
+            bar.advance()
+    return rows
+
+
+def _measure_single(
+    folder: Folder, eye: Eye, frame: Frame, before: _RangedState | None
+) -> tuple[StereoRow, _RangedState | None]:
+    """Measure a picture with its range: its row, and its state for the next one."""
+    try:
+        if frame.problem is not None:
+            raise DataError(frame.problem)
+        if frame.range_m is None or frame.range_sigma_m is None:
+            raise DataError("no range_m: one camera needs an altimeter")
+        beam = eye.ship_from_camera.apply(folder.settings.beam.direction)
+        seen = BeamRange(beam, frame.range_m, frame.range_sigma_m)
+        picture = _read_brightness(folder, frame)
+    except DataError as error:
+        return StereoRow(frame.file, "", frame.utc, reason=str(error)), None
+    ship = _compute_ship_attitude(eye, frame)
+    down, remark = _find_down(ship, frame)
+    height = level_ground(eye, seen, down)
+    state = _RangedState(frame, picture, seen, down, ship)
+    if before is None:
+        return StereoRow(frame.file, "", frame.utc, height, reason=remark), state
+    try:
+        times = before.frame.tdb_s or 0.0, frame.tdb_s or 0.0
+        turns = before.ship_from_body, ship
+        sigma = float(np.hypot(before.turn_sigma_rad, state.turn_sigma_rad))
+        step = _make_step(times, turns, sigma, down)
+        earlier = before.picture, before.seen, before.down
+        velocity = measure_one_eyed_velocity(earlier, (picture, seen), eye, step)
+    except NoSolutionError as error:
+        refused = error.code == ReasonCode.RANGE_REFUSED
+        said = f"{remark}; " if remark else ""
+        reason = f"{said}no velocity: {error}"
+        row = StereoRow(frame.file, "", frame.utc, None if refused else height, reason=reason)
+        return row, state
+    return StereoRow(frame.file, "", frame.utc, height, velocity, remark), state
 
 
 def build_rig(folder: Folder) -> tuple[tuple[MountSettings, MountSettings], Rig]:
@@ -203,19 +308,30 @@ def _find_down(ship_from_body: Rotation | None, frame: Frame) -> tuple[FloatArra
 def _measure_velocity(
     before: PairState, now: PairState, eye: Eye, down: FloatArray
 ) -> SideVelocity:
-    seconds = now.tdb_s - before.tdb_s
+    times, turns = (before.tdb_s, now.tdb_s), (before.ship_from_body, now.ship_from_body)
+    sigma = float(np.hypot(before.turn_sigma_rad, now.turn_sigma_rad))
+    step = _make_step(times, turns, sigma, down)
+    return measure_velocity((before.picture, before.height), (now.picture, now.height), eye, step)
+
+
+def _make_step(
+    times: tuple[float, float],
+    ship_from_body: tuple[Rotation | None, Rotation | None],
+    sigma: float,
+    down: FloatArray,
+) -> Step:
+    """Make the step between two times, earlier first. Raises NoSolutionError for none."""
+    seconds = times[1] - times[0]
     if seconds > MAX_STEP_S:
         raise NoSolutionError(f"the pair before is {seconds:.0f} s old")
     if seconds <= 0.0:
         raise NoSolutionError("the pair before is of the same time")
-    if before.ship_from_body is None or now.ship_from_body is None:
+    first, second = ship_from_body
+    if first is None or second is None:
         raise NoSolutionError("the pictures have no attitude: a turn looks like a motion")
-    sigma = float(np.hypot(before.turn_sigma_rad, now.turn_sigma_rad))
     if not np.isfinite(sigma):
         raise NoSolutionError("the attitudes have no sigma: a turn looks like a motion")
-    turn = before.ship_from_body * now.ship_from_body.inv()
-    step = Step(seconds, turn, sigma, down)
-    return measure_velocity((before.picture, before.height), (now.picture, now.height), eye, step)
+    return Step(seconds, first * second.inv(), sigma, down)
 
 
 def list_result_lines(rows: Sequence[StereoRow]) -> list[str]:

@@ -5,7 +5,7 @@ shift T of the ship by the windows. Errors: of the windows, of the turn between 
 height times it: it dominates), and of the height, which scales the shift.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -24,9 +24,17 @@ from optnav_cli.stereo.height import (
     RIVAL_PX,
     StereoHeight,
     measure_shifts,
+    refine_inverse,
 )
-from optnav_cli.stereo.rig import Eye, resample
+from optnav_cli.stereo.rig import Eye, Rig, resample
 
+# Ground under an altimeter's beam against the level ground assumed, 1 sigma, as a share of the
+# height: 7 deg of slope over a tenth of the height.
+LEVEL_SHARE = 0.012
+MIN_PARALLAX_PX = 5.0  # between two pictures of one camera, for the ground's shape
+MAX_INVERSE_SHARE = 0.02  # of a window's inverse distance: its widest sigma
+SHAPE_ROUNDS = 2
+MAX_SIGMAS = 4.0  # between what ranges and pictures say of the sink
 TEMPLATE_PX = 256  # of the search
 ROUNDS = ((96, 2.0), (64, 1.0), (64, 0.0))
 MAX_LEFT_PX = 1.0
@@ -109,6 +117,106 @@ def measure_velocity(
     back = turn.T / step.seconds
     # where the ship is now, less where it was: the shift, seen along the axes of now
     return SideVelocity(back @ shift, back @ total @ back.T)
+
+
+@dataclass(frozen=True, eq=False)
+class BeamRange:
+    """An altimeter's range from the camera's place, m, and its 1 sigma.
+
+    beam  (3,) unit vector, ship frame
+    """
+
+    beam: FloatArray
+    range_m: float
+    sigma_m: float
+
+
+def level_ground(eye: Eye, seen: BeamRange, down: FloatArray) -> StereoHeight:
+    """Lay level ground through the point that an altimeter measures; down (3,) ship frame."""
+    rays = Rig(eye, eye).compute_grid_rays()
+    cosine = float(seen.beam @ down)
+    depth = seen.range_m * cosine
+    height_m = depth + float(eye.place_m @ down)
+    sigma = float(np.hypot(seen.sigma_m * cosine, LEVEL_SHARE * height_m))
+    return StereoHeight(height_m, sigma, 0.0, 0, np.maximum(rays @ down, 0.05) / depth)
+
+
+def measure_one_eyed_velocity(
+    before: tuple[Float32Array, BeamRange, FloatArray],
+    now: tuple[Float32Array, BeamRange],
+    eye: Eye,
+    step: Step,
+) -> SideVelocity:
+    """Measure the velocity between two pictures of one camera, each with an altimeter's range.
+
+    before  picture, range and down (3,), all of the earlier ship frame;  now  the later ones
+
+    The motion shows the ground's shape up to a scale, and the later range gives that. Raises
+    NoSolutionError as `measure_velocity`, and for ranges that contradict the pictures.
+    """
+    earlier = level_ground(eye, before[1], before[2])
+    height = level_ground(eye, now[1], step.down)
+    turn, said = step.before_from_now.as_matrix(), earlier.height_m - height.height_m
+    try:
+        measure_velocity((before[0], earlier), (now[0], height), eye, step)
+    except NoSolutionError:
+        # ranges that are wrong hide the ground from the search: without a sink it may be found
+        earlier = replace(earlier, height_m=height.height_m)
+    for _ in range(SHAPE_ROUNDS):
+        velocity = measure_velocity((before[0], earlier), (now[0], height), eye, step)
+        shift = step.seconds * turn @ velocity.velocity_m_s
+        shaped = _shape_ground(before[0], now, height, eye, turn, shift)
+        if shaped is None:
+            break
+        height = shaped
+    velocity = measure_velocity((before[0], earlier), (now[0], height), eye, step)
+    sank = step.seconds * float(velocity.velocity_m_s @ step.down)
+    own = step.seconds**2 * float(step.down @ velocity.covariance @ step.down)
+    relief = LEVEL_SHARE * (said + 2.0 * height.height_m)
+    sigma = float(np.sqrt(own + relief**2 + before[1].sigma_m ** 2 + now[1].sigma_m ** 2))
+    if abs(sank - said) > MAX_SIGMAS * sigma:
+        raise NoSolutionError(
+            f"the altimeter's ranges of {before[1].range_m:.1f} and {now[1].range_m:.1f} m say "
+            f"that the ship sank by {said:.1f} m, the pictures {sank:.1f} m, with a sigma of "
+            f"{sigma:.1f} m",
+            ReasonCode.RANGE_REFUSED,
+        )
+    return velocity
+
+
+def _shape_ground(
+    before: Float32Array,
+    now: tuple[Float32Array, BeamRange],
+    height: StereoHeight,
+    eye: Eye,
+    turn: FloatArray,
+    shift: FloatArray,
+) -> StereoHeight | None:
+    """Shape the ground by the parallax of a motion; None where that is too small.
+
+    turn (3, 3), shift (3,)  of the ship from now to before
+    """
+    picture, seen = now
+    parallax = float(np.linalg.norm(shift)) / height.height_m * eye.camera.focal_length_px
+    if parallax < MIN_PARALLAX_PX:
+        return None
+    other = replace(
+        eye,
+        # a point P of now was at R P + T, and the camera at its place: R'(place - T) of now
+        place_m=turn.T @ (eye.place_m - shift),
+        ship_from_camera=Rotation.from_matrix(turn.T) * eye.ship_from_camera,
+    )
+    shape = refine_inverse(picture, before, Rig(eye, other), height.inverse_m, MAX_INVERSE_SHARE)
+    if shape is None:
+        return None
+    column, row = (round(float(v)) for v in eye.project(seen.beam[None])[0])
+    rows, cols = shape.shape
+    if not (0 <= row < rows and 0 <= column < cols):
+        return None
+    # along the beam the ground lies as far off as the altimeter says
+    shape = shape / (float(shape[row, column]) * seen.range_m)
+    sigma = height.height_m * seen.sigma_m / seen.range_m
+    return StereoHeight(height.height_m, sigma, 0.0, 0, shape)
 
 
 def _resample_earlier(

@@ -179,3 +179,58 @@ def test_a_camera_mounted_below_the_ground_is_refused(tmp_path: Path) -> None:
     scenario = msgspec.structs.replace(scenario, mount=(low, scenario.mount[1]))
     with pytest.raises(ConfigError, match=r"comes to -.* over the ground"):
         simulate_folder(scenario, tmp_path / "pictures", SilentProgress())
+
+
+def ranged(place: Path, ranges: tuple[float | None, ...], down_m: float = 0.0) -> Path:
+    """One camera's pictures 30 m over a plane and an altimeter's ranges, s apart."""
+    eye, frames = rig().first, []
+    place.mkdir()
+    for number, measured in enumerate(ranges):
+        name = f"{number}.png"
+        at = number * (STEP_M + [0.0, 0.0, down_m])
+        values = picture(eye, 30.0, at_m=at, noise=0.5, seed=number)
+        cv2.imwrite(str(place / name), np.clip(np.rint(values), 0, 255).astype(np.uint8))
+        frame = Frame(
+            name,
+            f"2026-01-01T00:00:0{number}.000Z",
+            "left",
+            tdb_s=float(compute_tdb_s_after("2026-01-01T00:00:00Z", float(number))[0]),
+            camera_from_body=SHIP_FROM_BODY,
+            attitude_sigma_rad=1e-6,
+            position_m=PLACE,
+            position_sigma_m=100.0,
+            range_m=measured,
+            range_sigma_m=None if measured is None else 0.05,
+        )
+        frames.append(frame)
+    write_folder(place, RunSettings("moon", "camera_from_body"), [CAMERA], frames)
+    return place
+
+
+def test_one_camera_and_an_altimeter_give_the_side_velocity(tmp_path: Path) -> None:
+    pictures = ranged(tmp_path / "pictures", (30.0, 29.5), down_m=0.5)
+    first, second = measure_stereo_folder(pictures, tmp_path / "out", SilentProgress())
+    assert first.height is not None
+    assert first.velocity is None
+    assert second.velocity is not None
+    off = second.velocity.velocity_m_s - (STEP_M + [0.0, 0.0, 0.5])
+    assert np.abs(off[:2]).max() < 0.01  # a hundredth of the way
+    assert np.abs(off[:2]).max() < 4.0 * second.velocity.side_sigma_m_s
+    rows = HEIGHTS.rows(tmp_path / "out" / "heights.csv")
+    assert [row["file_left"] for row in rows] == ["0.png", "1.png"]
+    assert rows[0]["file_right"] == ""
+
+
+def test_ranges_that_contradict_the_pictures_are_refused_with_both(tmp_path: Path) -> None:
+    pictures = ranged(tmp_path / "pictures", (30.0, 22.0))
+    _, second = measure_stereo_folder(pictures, tmp_path / "out", SilentProgress())
+    assert second.height is None
+    assert "ranges of 30.0 and 22.0 m say that the ship sank by 8.0 m" in second.reason
+    assert "sigma" in second.reason
+
+
+def test_a_picture_without_a_range_has_a_row_with_the_reason(tmp_path: Path) -> None:
+    pictures = ranged(tmp_path / "pictures", (30.0, None))
+    _, second = measure_stereo_folder(pictures, tmp_path / "out", SilentProgress())
+    assert second.height is None
+    assert second.reason == "no range_m: one camera needs an altimeter"
