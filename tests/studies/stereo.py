@@ -27,7 +27,13 @@ from optnav_cli.simulation.sensor import expose
 from optnav_cli.simulation.stereo_path import StereoScenario
 from optnav_cli.stereo.height import AREA_PX, StereoHeight, measure_height
 from optnav_cli.stereo.rig import Eye, Rig
-from optnav_cli.stereo.velocity import SideVelocity, Step, measure_velocity
+from optnav_cli.stereo.velocity import (
+    BeamRange,
+    SideVelocity,
+    Step,
+    measure_one_eyed_velocity,
+    measure_velocity,
+)
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 
 HEIGHTS_M = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0, 1500.0)
@@ -37,7 +43,8 @@ MOUNTING_ARCSEC = 20.0
 RATE_ARCSEC_S = 10.0
 SMALLEST_SHARE = 5e-4  # smallest crater over the height: about a pixel
 SAMPLES = 41  # of the true ground, a side
-NOISE, MOUNT, ATTITUDE = 51, 52, 53  # streams of random numbers
+RANGE_SIGMA_M = 0.2  # of the altimeter
+NOISE, MOUNT, ATTITUDE, RANGE = 51, 52, 53, 54  # streams of random numbers
 
 
 @dataclass(eq=False)
@@ -51,6 +58,7 @@ class StereoErrors:
     mounted: list[tuple[float, float]] = field(default_factory=list)
     of_mounting: list[float] = field(default_factory=list)
     velocity: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
+    one_eyed: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
 
 
 class StereoTruth:
@@ -120,6 +128,19 @@ class StereoTruth:
         heights = relief.heights(np.arcsin(ground[:, 2]), np.arctan2(ground[:, 1], ground[:, 0]))
         return radius - body.radius_m - float(heights.mean())
 
+    def range_m(self, exposure: Exposure) -> float:
+        """The true range along the boresight of a camera."""
+        body, place, along = self.simulation.motion.body, exposure.position_m, 0.0
+        relief = self.scenario.relief(exposure.ground_seed or 0, body)
+        ray = exposure.camera_from_body.as_matrix()[2]
+        for _ in range(12):
+            x, y, z = place + along * ray
+            radius = float(np.linalg.norm([x, y, z]))
+            ground = float(relief.heights(np.arcsin(z / radius), np.arctan2(y, x)))
+            over = radius - body.radius_m - ground
+            along += over / float(-ray @ place / np.linalg.norm(place))
+        return along
+
     def ship_m(self, exposure: Exposure) -> FloatArray:
         """Where the ship's origin is, body frame."""
         mount = self.scenario.mount[exposure.camera]
@@ -181,6 +202,9 @@ def _measure(
             true = (mount.turn * exposures[2].camera_from_body).apply(moved)
             off = found.velocity_m_s[:2] - true[:2] / _seconds(exposures)
             result.velocity.append((off, found.covariance[:2, :2]))
+            found = _one_eyed_velocity(truth, exposures, seen, own)
+            off = found.velocity_m_s[:2] - true[:2] / _seconds(exposures)
+            result.one_eyed.append((off, found.covariance[:2, :2]))
     except NoSolutionError:
         result.unsolved += 1
 
@@ -200,12 +224,37 @@ def _velocity(
     sure = replace(rig, second=replace(rig.second, error_rad=0.0))
     down = truth.down(exposures[2])
     now = measure_height(seen[2], seen[3], sure, down)
+    step = _step(truth, exposures, own)
+    return measure_velocity((seen[0], before), (seen[2], now), sure.first, step)
+
+
+def _one_eyed_velocity(
+    truth: StereoTruth,
+    exposures: Sequence[Exposure],
+    seen: Sequence[Float32Array],
+    own: list[int],
+) -> SideVelocity:
+    """By the first camera alone, with an altimeter along its boresight."""
+    eye = truth.rig(Rotation.identity()).first
+    noise = np.random.default_rng([RANGE, *own])
+    beam = eye.ship_from_camera.apply([0.0, 0.0, 1.0])
+    ranges = [
+        BeamRange(beam, truth.range_m(exposures[k]) + RANGE_SIGMA_M * noise.normal(), RANGE_SIGMA_M)
+        for k in (0, 2)
+    ]
+    earlier = seen[0], ranges[0], truth.down(exposures[0])
+    step = _step(truth, exposures, own)
+    return measure_one_eyed_velocity(earlier, (seen[2], ranges[1]), eye, step)
+
+
+def _step(truth: StereoTruth, exposures: Sequence[Exposure], own: list[int]) -> Step:
+    """The step between both times, with the attitudes' error."""
+    down = truth.down(exposures[2])
     mount = truth.scenario.mount[0]
     ships = [mount.turn * exposures[k].camera_from_body for k in (0, 2)]
     sigma = RATE_ARCSEC_S * ARCSEC * _seconds(exposures)
     off = Rotation.from_rotvec(sigma * np.random.default_rng([ATTITUDE, *own]).normal(size=3))
-    step = Step(_seconds(exposures), off * ships[0] * ships[1].inv(), sigma, down)
-    return measure_velocity((seen[0], before), (seen[2], now), sure.first, step)
+    return Step(_seconds(exposures), off * ships[0] * ships[1].inv(), sigma, down)
 
 
 COLUMNS = columns(
@@ -235,15 +284,8 @@ def report(results: Sequence[StereoErrors]) -> StudyReport:
         rows.append(
             (result.height_m, len(exact), result.pairs, *_three(exact), *_three(mounted), share)
         )
-    speeds: list[tuple[Cell, ...]] = []
-    for result in results:
-        if result.velocity:
-            off = np.array([error for error, _ in result.velocity])
-            spread = np.array([c for _, c in result.velocity])
-            square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(spread), off) / 2.0
-            sigma = np.sqrt(np.mean(np.einsum("nii->n", spread)) / 2.0)
-            numbers = 1e3 * _rms(off), 1e3 * float(sigma), float(square.mean())
-            speeds.append((result.height_m, len(off), *numbers, ASKED_MM_S))
+    speeds = [_speed(r.height_m, r.velocity) for r in results if r.velocity]
+    single = [_speed(r.height_m, r.one_eyed) for r in results if r.one_eyed]
     fitted = [r for r in results if SLOPE_M[0] <= r.height_m <= SLOPE_M[1] and r.exact]
     growth: list[tuple[Cell, ...]] = []
     for what, values in (
@@ -266,9 +308,20 @@ def report(results: Sequence[StereoErrors]) -> StudyReport:
             StudyTable("Height over the mean ground below", COLUMNS, tuple(rows)),
             StudyTable("Growth with the height, 50-800 m", GROWTH_COLUMNS, tuple(growth)),
             StudyTable("Side velocity", VELOCITY_COLUMNS, tuple(speeds)),
+            StudyTable("Side velocity, one camera and altimeter", VELOCITY_COLUMNS, tuple(single)),
         ),
         notes,
     )
+
+
+def _speed(height_m: float, measured: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[Cell, ...]:
+    """A row of a table of velocities."""
+    off = np.array([error for error, _ in measured])
+    spread = np.array([c for _, c in measured])
+    square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(spread), off) / 2.0
+    sigma = np.sqrt(np.mean(np.einsum("nii->n", spread)) / 2.0)
+    numbers = 1e3 * _rms(off), 1e3 * float(sigma), float(square.mean())
+    return (height_m, len(off), *numbers, ASKED_MM_S)
 
 
 def _three(pairs: FloatArray) -> tuple[float, float, float]:
