@@ -41,9 +41,8 @@ from optnav_cli.reasons import Reason, ReasonCode
 
 # A window's side, postings, and the least one; of the square seen it takes at most this share.
 SIDE, MIN_SIDE, MAX_SHARE = 24, 12, 0.6
-# Over a model whose shortest wave is stated: the posting is at least so much of that wave, and a
-# window as wide as six of them. GLD100's is 1.6 km: at 237 m 28 of 30 windows were found where at
-# 118 m one was; nine kilometres halve the scatter of six.
+# Over a model whose shortest wave is stated: least posting over that wave, waves in a window. Of
+# GLD100's 1.6 km 28 of 30 windows were found at 237 m, one at 118 m; 9 km halve the scatter of 6.
 RESOLVED_SHARE, WAVES, MAX_SIDE = 0.125, 6.0, 40
 STEP = 4  # postings between places of the lattice
 OVERSAMPLED = 2  # nodes of a window a posting of the model
@@ -166,13 +165,10 @@ class WindowField:
     def choose_level(self, view: "SeenGround", camera: Camera) -> tuple[int, int] | None:
         """Choose the level and the side of windows, postings, for a picture; None for none.
 
-        The finest level that the picture resolves well, and that holds no more than the model does:
-        finer windows over a model of a coarser resolution are small and match by its errors. Near
-        the ground, where a picture shows too little for such a window, the next finer one.
+        The finest level that picture and model resolve, or a finer one where too little is seen.
         """
         postings = self.points.layers[0].postings_m
-        # A level is used whose posting is at least 2.5 times the ground that a pixel sees.
-        fit = np.flatnonzero(postings >= 2.5 * view.metres_per_pixel)
+        fit = np.flatnonzero(postings >= 2.5 * view.metres_per_pixel)  # 2.5 pixels at least
         if not fit.size:
             return None
         resolution = self.points.resolution_m(view.middle_m) or 0.0
@@ -180,8 +176,8 @@ class WindowField:
         coarsest = max(int(fit[0]), int(held[0]) if held.size else len(postings) - 1)
         width = view.metres_per_pixel * min(camera.width_px, camera.height_px)
         for level in range(coarsest, int(fit[0]) - 1, -1):
-            wide = round(WAVES * resolution / (STEP * postings[level])) * STEP
-            most = min(max(SIDE, wide), MAX_SIDE)
+            most = min(max(SIDE, round(WAVES * resolution / postings[level])), MAX_SIDE)
+            most -= most % STEP
             side = min(most, int(MAX_SHARE * width / postings[level]) // STEP * STEP)
             if side >= MIN_SIDE:
                 return level, side
