@@ -17,7 +17,7 @@ from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.correlation.ncc import match_ncc
 from catalog.errors import UsageError
-from catalog.geometry.vectors import ARCSEC, rotation_from_quaternion
+from catalog.geometry.rotations import ARCSEC, rotation_from_quaternion
 from catalog.progress import Progress, SilentProgress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera as load_camera_file

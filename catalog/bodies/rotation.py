@@ -23,7 +23,7 @@ from catalog.bodies.body import (
 )
 from catalog.bodies.epochs import DAY_S
 from catalog.geometry.kernel import kernel
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 
 Series = tuple[FloatArray, FloatArray, FloatArray]  # slow part, angles and amplitudes of terms
 

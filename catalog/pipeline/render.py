@@ -17,6 +17,7 @@ from catalog.pipeline.cell_map import (
     FINE_LEVELS,
     MAX_MISSING,
     blur_grid,
+    choose_spaced,
     measure_missing_share,
     sample_suns,
 )
@@ -25,7 +26,6 @@ from catalog.pipeline.shortlist import make_shortlists
 from catalog.rasters import keep_gdal_settings
 from catalog.rendering.map_view import render_map_quickly
 from catalog.selection.localisation import compute_hessian_eigenvalue, predict_match
-from catalog.selection.spacing import choose_spaced
 from catalog.store.records import round_latlon
 
 # Ground about all windows that throws shadows into them. Farther relief is left out: under a Sun of

@@ -11,7 +11,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.files import MANIFEST
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.calibration.adjusted_folder import (
     MIN_MATCHES,
     AdjustedRow,

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.bodies.body import CatalogFrame, is_body_file
 from catalog.config import resource
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.calibration.adjustment import AdjustedFrame, Adjustment, FrameResult
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import write_camera

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray, IntArray
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import ARCSEC, cross_matrix
+from catalog.geometry.rotations import ARCSEC, cross_matrix
 from optnav_cli.calibration.model import (
     FrameMotion,
     compute_weight_slope,

@@ -17,7 +17,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.errors import DataError, NothingToDoError
 from catalog.files import hash_file, replace_folder
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.places import check_apart
 from catalog.progress import Progress, log_stage
 from optnav_cli.calibration.adjust_job import collect_rows, compute_stated_residuals

@@ -7,7 +7,7 @@ import msgspec
 from msgspec import Meta
 
 from catalog.config import load_toml
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.estimation.models.common import Common, CommonNumber, common_numbers
 
 Wide = Annotated[float, Meta(gt=0.0, le=1e6)]

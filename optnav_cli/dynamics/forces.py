@@ -24,7 +24,7 @@ from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import SUN_GM_M3_S2, Ephemeris, Neighbour
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.dynamics.gravity_field import (
     even_field,
     kaula_by_gravity,

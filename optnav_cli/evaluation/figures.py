@@ -15,7 +15,7 @@ from scipy.special import gammaincinv
 
 from catalog.arrays import FloatArray
 from catalog.errors import DifferenceError, NothingToDoError
-from catalog.geometry.vectors import rnb_axes
+from catalog.geometry.rotations import rnb_axes
 from optnav_cli.fix import Method, Solution
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.truth import Truth

@@ -13,7 +13,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.files import make_prefix_test, replace_file
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.progress import log_stage
 from catalog.tables import CsvRow
 from optnav_cli.evaluation.evaluation import WRONG_PX, Evaluation, evaluate

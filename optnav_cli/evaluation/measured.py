@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError, NothingToDoError
 from catalog.files import make_prefix_test, replace_file
-from catalog.geometry.vectors import ARCSEC, rotation_from_quaternion
+from catalog.geometry.rotations import ARCSEC, rotation_from_quaternion
 from catalog.progress import log_stage
 from catalog.tables import CsvRow, CsvTable
 from optnav_cli.evaluation.files import EVALUATION_CSV, EVALUATION_JSON

@@ -12,7 +12,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import nearest_name
 from catalog.errors import DataError
-from catalog.geometry.vectors import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
+from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
 from catalog.tables import CsvRow
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import PositionPrior

@@ -17,7 +17,7 @@ from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import load_toml
 from catalog.errors import ConfigError
-from catalog.geometry.vectors import ARCSEC, rotation_from_quaternion
+from catalog.geometry.rotations import ARCSEC, rotation_from_quaternion
 from optnav_cli.camera.camera_file import is_plain_name
 
 MIN_BASE_M = 1e-3  # less cannot be measured on a ship

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
-from catalog.geometry.vectors import quaternion_from_rotation, rotation_from_quaternion
+from catalog.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from catalog.tables import CsvRow
 from optnav_cli.frames.frames import MAX_DISTANCE_M
 from optnav_cli.frames.run_settings import FileAttitude

@@ -25,7 +25,8 @@ from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import Stereographic
-from catalog.geometry.vectors import cross_matrix, unit
+from catalog.geometry.rotations import cross_matrix
+from catalog.geometry.vectors import unit
 from catalog.progress import Progress
 from catalog.rasters import encode_geotiff
 from catalog.store.geopackage import format_stereographic_wkt

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.files import MANIFEST
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.inputs import read_input
 from optnav_cli.evaluation.figures import describe_method
 from optnav_cli.evaluation.files import EVALUATION_JSON
@@ -26,8 +26,8 @@ from optnav_cli.output.tables import format_fixed
 from optnav_cli.points.plots import is_picked, plot_picked_points
 from optnav_cli.report import page as html
 from optnav_cli.report.error_plots import plot_errors
-from optnav_cli.report.ground_map import plot_ground
 from optnav_cli.report.page import build_pictures
+from optnav_cli.report.relief import plot_ground
 from optnav_cli.report.svg import HALF, MOST, Plot, PlotAxis, find_span
 
 MAX_DOTS = 4000

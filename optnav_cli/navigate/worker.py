@@ -63,7 +63,7 @@ from optnav_cli.output.recording import encode_recorded_image
 from optnav_cli.output.run_folder import FRAMES
 from optnav_cli.points.method import PickedFrames
 from optnav_cli.reasons import Reason, ReasonCode
-from optnav_cli.stars.identify import SkyView, StarSight, find_star_attitude
+from optnav_cli.stars.sky import SkyView, StarSight, find_star_attitude
 
 STARS = "stars"  # the question of a frame's answers
 REMARKS = "remarks on the picture"  # likewise; kept where there are some

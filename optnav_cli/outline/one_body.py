@@ -30,7 +30,7 @@ from optnav_cli.outline.disc.fit import ABOUT_PX, fit_disc, rad_per_px
 from optnav_cli.outline.disc.moments import MAX_SMALL_DISC_PX, is_round, load_disc_sizes
 from optnav_cli.outline.limb import method as horizon
 from optnav_cli.outline.limb.detection import LimbPoints, find_limb
-from optnav_cli.outline.limb.shape_skyline import estimate_relief_fraction, is_shape
+from optnav_cli.outline.limb.ground_skyline import estimate_relief_fraction, is_shape
 from optnav_cli.outline.neighbour import CameraView
 from optnav_cli.outline.silhouette import method as silhouette
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.geometry.vectors import quaternion_from_rotation
+from catalog.geometry.rotations import quaternion_from_rotation
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, Solution

@@ -26,7 +26,7 @@ from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.geometry.ellipsoid import geodetic_from_xyz
 from catalog.geometry.latlon import latlon_from_xyz
-from catalog.geometry.vectors import ARCSEC, rnb_axes
+from catalog.geometry.rotations import ARCSEC, rnb_axes
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks, Solution

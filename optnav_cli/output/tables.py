@@ -10,7 +10,7 @@ from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.geometry.ellipsoid import geodetic_from_xyz
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
-from catalog.geometry.vectors import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
+from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
 from catalog.tables import CsvRow, CsvTable
 from optnav_cli.fix import (
     Evidence,

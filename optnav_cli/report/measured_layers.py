@@ -7,7 +7,7 @@ import numpy as np
 
 from catalog.errors import DataError, OutputError
 from catalog.files import replace_file
-from catalog.geometry.vectors import rotation_from_quaternion
+from catalog.geometry.rotations import rotation_from_quaternion
 from catalog.store.connection import SIDECARS
 from catalog.store.geopackage import (
     BLUE,

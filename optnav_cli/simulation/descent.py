@@ -27,7 +27,7 @@ from catalog.bodies.epochs import compute_tdb_s_after
 from catalog.config import Seconds, Turn
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.terrain.dem.source import DemSource
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.simulation.passes import SunSettings, sun_over

@@ -16,7 +16,7 @@ from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.latlon import latlon_from_xyz
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.rasters import TERRAIN, handle_read_errors, open_raster
 from catalog.terrain.dem.file import resolve_path
 from catalog.terrain.dem.source import DemSettings

@@ -11,7 +11,7 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.stars import BrightStars, load_bright_stars, read_star_catalog
 from catalog.errors import DataError, NoSolutionError
 from catalog.files import hash_file
-from catalog.geometry.vectors import ARCSEC, quaternion_from_rotation
+from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation
 from catalog.progress import Progress
 from catalog.tables import CsvRow
 from optnav_cli.camera.camera import Camera
@@ -24,8 +24,9 @@ from optnav_cli.output.canvas import encode_picture
 from optnav_cli.output.manifest import hash_files, output_folder
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.run_folder import CAMERAS, FRAMES, OVERLAYS
-from optnav_cli.stars.identify import SkyView, StarFix, StarIdentifier
+from optnav_cli.stars.identify import StarFix, StarIdentifier
 from optnav_cli.stars.page import ATTITUDES_CSV, STARS_KIND, draw_stars
+from optnav_cli.stars.sky import SkyView
 from optnav_cli.stars.spots import StarSpots, find_spots
 
 STAGE = "stars"

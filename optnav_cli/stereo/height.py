@@ -14,7 +14,8 @@ import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import cross_matrix, perpendicular_basis
+from catalog.geometry.rotations import cross_matrix
+from catalog.geometry.vectors import perpendicular_basis
 from optnav_cli.estimation.least_squares import inverse_of
 from optnav_cli.estimation.robust import TUKEY, scatter, tukey_weights
 from optnav_cli.reasons import ReasonCode

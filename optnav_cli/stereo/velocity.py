@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import cross_matrix
+from catalog.geometry.rotations import cross_matrix
 from optnav_cli.estimation.least_squares import inverse_of
 from optnav_cli.estimation.robust import TUKEY, scatter, tukey_weights
 from optnav_cli.reasons import ReasonCode

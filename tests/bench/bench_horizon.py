@@ -72,7 +72,7 @@ def test_a_whole_frame_over_relief():
 
 def _drawn(relief, position, turned):
     """Counts (2048, 2048) of a body bright up to its skyline, blurred by a pixel's share."""
-    from optnav_cli.outline.limb.relief_skyline import make_relief_skyline
+    from optnav_cli.outline.limb.ground_skyline import make_relief_skyline
 
     axes = make_nadir_axes(position)
     table = np.linspace(-np.pi, np.pi, 4001)

@@ -22,7 +22,7 @@ from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.bodies.stars import load_bright_stars
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.fix import Fix, Method, Solution
 from optnav_cli.frames.orbit_tables import ZENITH

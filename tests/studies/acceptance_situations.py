@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import Float32Array, FloatArray
 from catalog.correlation.ncc import match_ncc
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import ARCSEC, squared_distance, unit
+from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import squared_distance, unit
 from optnav_cli.control_points import method as control_points
 from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.settings import NavigateSettings

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.config import resource
-from catalog.geometry.vectors import rnb_axes
+from catalog.geometry.rotations import rnb_axes
 from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress

@@ -11,7 +11,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.config import resource
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.store.reader import Catalog

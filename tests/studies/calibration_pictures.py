@@ -10,7 +10,7 @@ import numpy as np
 
 from catalog.config import resource
 from catalog.errors import NothingToDoError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from optnav_cli.calibration.job import Calibration, calibrate_folder
 from optnav_cli.calibration.model import estimate_frame_motions

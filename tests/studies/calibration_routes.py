@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.calibration.adjustment import AdjustedFrame
 from optnav_cli.calibration.model import estimate_frame_motions, propagate_ground_errors
 from optnav_cli.camera.camera import Camera

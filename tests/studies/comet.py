@@ -19,7 +19,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.errors import DataError
-from catalog.geometry.vectors import ARCSEC, unit
+from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import unit
 from catalog.progress import Progress
 from optnav_cli.evaluation.figures import FrameError, compute_figures
 from optnav_cli.fix import Fix

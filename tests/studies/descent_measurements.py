@@ -11,7 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import BoolArray, FloatArray
-from catalog.geometry.vectors import ARCSEC, squared_distance
+from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import squared_distance
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.navigate.descent.filter import (

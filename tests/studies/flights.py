@@ -18,7 +18,7 @@ from catalog.arrays import Float32Array
 from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.files import make_prefix_test, write_output
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.pipeline import build
 from catalog.pipeline.ingest import Bbox
 from catalog.progress import Progress

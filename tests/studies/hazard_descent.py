@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.errors import NothingToDoError
 from catalog.files import hash_file
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress, SilentProgress
 from catalog.rasters import encode_geotiff
 from catalog.store.geopackage import format_stereographic_wkt

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.terrain.dem.file import resolve_path

@@ -28,6 +28,7 @@ from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.outline.limb.detection import LimbPoints
+from optnav_cli.outline.limb.ground_skyline import make_relief_skyline
 from optnav_cli.outline.limb.limb_rays import (
     FILE,
     HorizonSizes,
@@ -38,7 +39,6 @@ from optnav_cli.outline.limb.limb_rays import (
     load_horizon_sizes,
     make_limb_rays,
 )
-from optnav_cli.outline.limb.relief_skyline import make_relief_skyline
 from optnav_cli.outline.limb.skyline import add_limb_errors, fit_repeatedly, select_usable_rays
 from optnav_cli.outline.one_body import detect_limb
 from tests.studies import flights, horizon_flights, likelihood

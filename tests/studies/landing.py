@@ -14,7 +14,6 @@ from catalog.geometry.vectors import perpendicular_basis
 from catalog.progress import Progress, SilentProgress
 from optnav_cli.orbit.landing.descent import Site, depart
 from optnav_cli.orbit.landing.job import LandingResult, fly_trials
-from optnav_cli.orbit.landing.model import OnboardMotion, turning_state
 from optnav_cli.orbit.landing.navigation import MAX_STEPS, RangeNavigator
 from optnav_cli.orbit.landing.rays import DigitalSurface
 from optnav_cli.orbit.landing.settings import (
@@ -33,6 +32,7 @@ from optnav_cli.orbit.landing.trials import (
 )
 from optnav_cli.orbit.qso.motion import split
 from optnav_cli.orbit.qso.search import QsoSearch, QsoStart
+from tests.studies.landing_models import OnboardMotion, turning_state
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 RAYS = 3000

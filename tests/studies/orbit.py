@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from catalog.geometry.vectors import angle_between, rnb_axes
+from catalog.geometry.rotations import rnb_axes
+from catalog.geometry.vectors import angle_between
 from catalog.progress import Progress
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings

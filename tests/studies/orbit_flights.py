@@ -19,7 +19,8 @@ from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import ConfigError
-from catalog.geometry.vectors import rnb_axes, unit
+from catalog.geometry.rotations import rnb_axes
+from catalog.geometry.vectors import unit
 from optnav_cli.dynamics.forces import SUNLIGHT, Forces
 from optnav_cli.dynamics.gravity_field import read_field
 from optnav_cli.dynamics.orbit_integrator import acceleration

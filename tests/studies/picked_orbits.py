@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_from_tdb_s
-from catalog.geometry.vectors import angle_between, rnb_axes
+from catalog.geometry.rotations import rnb_axes
+from catalog.geometry.vectors import angle_between
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.frames.run_settings import RunSettings, write_run_settings

@@ -16,7 +16,8 @@ import numpy as np
 
 from catalog.config import resource
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
-from catalog.geometry.vectors import ARCSEC, squared_distance
+from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import squared_distance
 from catalog.pipeline import build
 from catalog.places import make_folder
 from catalog.progress import Progress

@@ -24,7 +24,7 @@ from catalog.bodies.ephemeris import SpiceEphemeris
 from catalog.bodies.epochs import DAY_S
 from catalog.bodies.rotation import CENTURY_S, body_from_inertial
 from catalog.errors import UsageError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns
 

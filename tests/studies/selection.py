@@ -23,13 +23,19 @@ from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
 from catalog.pipeline import check, render
-from catalog.pipeline.cell_map import CellGround, compute_separation, cut_cell_ground, sample_suns
+from catalog.pipeline.cell_map import (
+    CellGround,
+    choose_spaced,
+    compute_separation,
+    cut_cell_ground,
+    find_peaks,
+    sample_suns,
+)
 from catalog.pipeline.check import run_trials
 from catalog.pipeline.config import BodySettings, BuildConfig, DemSection
 from catalog.pipeline.context import StageContext
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
-from catalog.selection.spacing import choose_spaced, find_peaks
 from catalog.selection.trial import TrialOutcome
 from catalog.terrain.dem.mosaic import Mosaic
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns

@@ -14,7 +14,8 @@ from catalog.bodies.ephemeris import compute_velocity_inertial
 from catalog.bodies.stars import apply_aberration, load_bright_stars
 from catalog.config import resource
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import ARCSEC, unit
+from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import unit
 from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
@@ -24,7 +25,8 @@ from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import Truth, read_truth
 from optnav_cli.simulation.passes import Scenario
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.stars.identify import SkyView, StarFix, StarIdentifier
+from optnav_cli.stars.identify import StarFix, StarIdentifier
+from optnav_cli.stars.sky import SkyView
 from optnav_cli.stars.spots import MAX_SPOTS, StarSpots, find_spots
 from tests.studies import flights
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns, rms

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import Float32Array, FloatArray
 from catalog.config import resource
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from optnav_cli.simulation.run import Simulation, truth_ground
 from optnav_cli.simulation.scenario import load_scenario

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.fix import Fix, Method
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.truth import Truth

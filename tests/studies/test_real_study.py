@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from catalog.errors import DataError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.progress import SilentProgress
 from optnav_cli.calibration.adjust_job import adjust_runs
 from optnav_cli.frames.folder import read_folder

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.progress import SilentProgress
 from optnav_cli.navigate.zenith_file import SightPlace, choose_zenith_pair, list_navigation_stars
 from tests.studies import zenith

@@ -12,7 +12,7 @@ import numpy as np
 from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.stars import load_bright_stars
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings, SunlightSettings
 from optnav_cli.navigate.zenith_file import SightPlace, choose_zenith_pair, list_navigation_stars

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import cross_matrix
+from catalog.geometry.rotations import cross_matrix
 from optnav_cli.estimation.least_squares import Linearisation, linearised
 from optnav_cli.reasons import ReasonCode
 

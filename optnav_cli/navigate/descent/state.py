@@ -17,7 +17,8 @@ import numpy as np
 from catalog.arrays import FloatArray, IndexArray
 from catalog.config import Positive, load_toml, resource
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
-from catalog.geometry.vectors import ARCSEC, unit
+from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.field import NOT_STATED, StatedSigmas
 from optnav_cli.control_points.point_match import PointMatch

@@ -17,7 +17,8 @@ from catalog.bodies.ephemeris import AU_M, AnalyticEphemeris
 from catalog.bodies.epochs import DAY_S, J2000_JD
 from catalog.errors import NoSolutionError
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.geometry.vectors import ARCSEC, perpendicular_basis
+from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import perpendicular_basis
 from optnav_cli.estimation.consider import considered
 from optnav_cli.orbit.delivery.path import ReferencePath
 from optnav_cli.orbit.delivery.settings import DeliverySettings, OpticalSettings, RadioSettings

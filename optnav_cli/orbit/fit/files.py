@@ -9,7 +9,7 @@ from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError, NothingToDoError, UsageError
 from catalog.files import make_prefix_test, replace_file, write_output
 from catalog.geometry.ellipsoid import geodetic_from_xyz
-from catalog.geometry.vectors import rnb_axes
+from catalog.geometry.rotations import rnb_axes
 from catalog.progress import Progress
 from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
 from optnav_cli.frames.orbit_tables import PICTURE_TIMES

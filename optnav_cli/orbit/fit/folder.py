@@ -17,7 +17,7 @@ from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.config import load_toml
 from catalog.errors import ConfigError, DataError
-from catalog.geometry.vectors import rnb_axes
+from catalog.geometry.rotations import rnb_axes
 from catalog.tables import CsvRow
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.frames.orbit_tables import INERTIAL, LOWER, ORBIT, STATE_COVARIANCE, VELOCITY

@@ -20,7 +20,7 @@ from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.epochs import DAY_S, J2000_JD, utc_from_tdb_s
 from catalog.errors import DataError, UsageError
-from catalog.geometry.vectors import rnb_axes
+from catalog.geometry.rotations import rnb_axes
 from catalog.inputs import MEGABYTE, read_input
 from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
 from optnav_cli.orbit.fit.folder import body_fixed_state, read_orbit, stated_turn

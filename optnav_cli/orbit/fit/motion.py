@@ -11,7 +11,8 @@ import numpy as np
 
 from catalog.arrays import FloatArray, IntArray
 from catalog.config import load_toml, resource
-from catalog.geometry.vectors import rnb_axes, unit
+from catalog.geometry.rotations import rnb_axes
+from catalog.geometry.vectors import unit
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.orbit.fit.settings import NoiseSettings
 

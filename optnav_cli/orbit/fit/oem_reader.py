@@ -18,7 +18,7 @@ from catalog.bodies.body import Body, load_body
 from catalog.bodies.epochs import TIME_SYSTEMS, system_to_tdb_s, utc_from_tdb_s
 from catalog.config import nearest_name
 from catalog.errors import DataError
-from catalog.geometry.vectors import rnb_axes
+from catalog.geometry.rotations import rnb_axes
 from catalog.inputs import MEGABYTE, read_input
 from catalog.keywords import Keyword, check_keywords
 from optnav_cli.orbit.fit.oem import BEGINNING, DEGREE, SAME_TIME_S, Oem, OemSegment

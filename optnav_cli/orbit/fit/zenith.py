@@ -16,7 +16,7 @@ from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.stars import load_bright_stars
 from catalog.errors import DataError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.tables import CsvRow
 from optnav_cli.frames.orbit_tables import ZENITH
 

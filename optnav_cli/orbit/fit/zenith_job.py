@@ -13,7 +13,7 @@ from catalog.bodies.ephemeris import load_ephemeris
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import DataError, UsageError
 from catalog.files import hash_file
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.terrain.dem.file import resolve_path
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.left_out import warn_of_unknown_gravity

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement, SmoothedArc
 from optnav_cli.orbit.fit.motion import rnb_of
 from optnav_cli.orbit.fit.problem import SIZES, FitParameter, OrbitProblem, Trajectory

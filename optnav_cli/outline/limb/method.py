@@ -16,6 +16,12 @@ from optnav_cli.estimation.consider import considered
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.outline.limb.detection import LimbPoints
+from optnav_cli.outline.limb.ground_skyline import (
+    MAX_RELIEF_MISFIT,
+    is_shape,
+    make_relief_skyline,
+    make_shape_skyline,
+)
 from optnav_cli.outline.limb.limb_rays import (
     LimbRays,
     compute_attitude_covariance,
@@ -25,8 +31,6 @@ from optnav_cli.outline.limb.limb_rays import (
     require_arc,
 )
 from optnav_cli.outline.limb.model import fit_limb
-from optnav_cli.outline.limb.relief_skyline import MAX_MISFIT, make_relief_skyline
-from optnav_cli.outline.limb.shape_skyline import is_shape, make_shape_skyline
 from optnav_cli.outline.limb.skyline import (
     BodySkyline,
     SkylineResult,
@@ -70,7 +74,7 @@ def navigate(
         try:
             skyline.check(last)
         except NoSolutionError as error:
-            if is_shape(relief) or last.fit.misfit <= MAX_MISFIT:
+            if is_shape(relief) or last.fit.misfit <= MAX_RELIEF_MISFIT:
                 raise
             inverse = make_limb_rays(points, camera, camera_from_body.inv())
             if not _is_better_fit(inverse, skyline, last, body):

@@ -4,7 +4,7 @@ import erfa
 import numpy as np
 
 from catalog.bodies.stars import LIGHT_M_S, apply_aberration
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 
 
 def test_aberration_is_that_of_the_standards_of_fundamental_astronomy() -> None:

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from catalog.geometry.vectors import (
+from catalog.geometry.rotations import (
     cross_matrix,
     quaternion_from_rotation,
     rnb_axes,

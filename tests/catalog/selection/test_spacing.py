@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from catalog.geometry.latlon import angular_distance
-from catalog.selection.spacing import RELAXED, choose_spaced, find_peaks
+from catalog.pipeline.cell_map import RELAXED, choose_spaced, find_peaks
 
 
 def test_the_strongest_peaks_are_taken_in_order_and_apart():

@@ -6,12 +6,12 @@ import pytest
 import rasterio
 
 from catalog.config import resource
+from catalog.pipeline.cell_map import find_peaks
 from catalog.selection.localisation import (
     compute_azimuth_products,
     compute_hessian_eigenvalue_map,
     compute_sun_products,
 )
-from catalog.selection.spacing import find_peaks
 from catalog.selection.sweep import (
     MARGIN,
     compute_window_eigenvalues,

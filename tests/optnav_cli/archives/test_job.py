@@ -16,7 +16,7 @@ from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import resource
 from catalog.errors import ConfigError, DataError, OutputError, UsageError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.archives.frame import load_table
 from optnav_cli.archives.job import ImportOptions, import_folder
 from optnav_cli.archives.pixels import CODING_KEYWORDS, KEYWORDS

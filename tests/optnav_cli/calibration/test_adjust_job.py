@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from catalog.bodies.epochs import utc_from_tdb_s
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli import main
 from optnav_cli.calibration import adjusted_folder
 from optnav_cli.calibration.adjustment import FrameResult

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.calibration.adjustment import AdjustedFrame, adjust, estimate_shared_errors
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.common import Common, CommonState, common_numbers

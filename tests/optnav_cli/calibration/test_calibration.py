@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from catalog.errors import NothingToDoError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.calibration import adjustment
 from optnav_cli.calibration.adjustment import AdjustedFrame, adjust, compute_residuals
 from optnav_cli.calibration.job import check_points

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.epochs import utc_from_tdb_s
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli import main
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.estimation.models.points import Pose

@@ -8,7 +8,7 @@ import pytest
 
 from catalog.config import resource
 from catalog.errors import DataError, DifferenceError, NothingToDoError
-from catalog.geometry.vectors import quaternion_from_rotation, rotation_from_quaternion
+from catalog.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from optnav_cli.evaluation.evaluation import combine_evaluations
 from optnav_cli.evaluation.figures import Limits, check_limits
 from optnav_cli.evaluation.files import (

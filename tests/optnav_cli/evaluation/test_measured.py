@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.files import replace_folder
-from catalog.geometry.vectors import ARCSEC, quaternion_from_rotation
+from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation
 from optnav_cli.frames.tables import ATTITUDES, CYLINDER, QUATERNION
 from optnav_cli.main import run
 from optnav_cli.output.manifest import write_manifest

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris, SpiceEphemeris
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.geometry.vectors import quaternion_from_rotation
+from catalog.geometry.rotations import quaternion_from_rotation
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import Folder, read_folder, write_folder
 from optnav_cli.frames.frames import Frame

@@ -14,7 +14,7 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.rotation import body_from_inertial
 from catalog.config import resource
 from catalog.errors import ConfigError, DataError, OptnavError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.frames.folder import read_folder, write_folder

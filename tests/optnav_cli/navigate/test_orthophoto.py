@@ -14,7 +14,8 @@ from catalog.bodies.body import load_body
 from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.projection import Stereographic
-from catalog.geometry.vectors import rnb_axes, unit
+from catalog.geometry.rotations import rnb_axes
+from catalog.geometry.vectors import unit
 from catalog.terrain.dem.source import DemSource
 from optnav_cli.fix import MatchRow
 from optnav_cli.main import run as optnav

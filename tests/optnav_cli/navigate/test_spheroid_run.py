@@ -19,7 +19,7 @@ from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.tables import read_solutions, write_solutions
-from optnav_cli.report.ground_map import plot_ground
+from optnav_cli.report.relief import plot_ground
 from tests.optnav_cli.made_picks import rows_of, scene, write_picked
 from tests.optnav_cli.rows import solved
 

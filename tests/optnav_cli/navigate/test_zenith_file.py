@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.epochs import utc_from_tdb_s
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.fix import Fix, Method, NoFix, Solution
 from optnav_cli.frames.folder import Folder
 from optnav_cli.frames.frames import Frame

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.geometry.vectors import quaternion_from_rotation, rnb_axes
+from catalog.geometry.rotations import quaternion_from_rotation, rnb_axes
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.frames.run_settings import FileAttitude

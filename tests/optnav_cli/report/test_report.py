@@ -24,7 +24,7 @@ from optnav_cli.output.run_folder import read_run
 from optnav_cli.pages import write_report
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.report.error_plots import collect_frames
-from optnav_cli.report.ground_map import plot_ground
+from optnav_cli.report.relief import plot_ground
 from tests.optnav_cli.output.approach import write_approach
 from tests.optnav_cli.report.browser import Browser
 from tests.optnav_cli.report.pages import a_catalog, report_of

@@ -10,7 +10,7 @@ from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.config import resource
 from catalog.errors import ConfigError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from catalog.terrain.dem.source import DemSettings, DemSource
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.run_settings import InertialSettings, read_run_settings

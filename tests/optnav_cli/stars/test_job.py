@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from catalog.errors import DataError, NothingToDoError
-from catalog.geometry.vectors import ARCSEC, rotation_from_quaternion
+from catalog.geometry.rotations import ARCSEC, rotation_from_quaternion
 from catalog.progress import SilentProgress
 from optnav_cli.navigate.job import navigate_folder
 from optnav_cli.navigate.worker import RunInputs

@@ -12,12 +12,13 @@ from catalog.bodies.body import load_body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.stars import load_bright_stars, make_stars
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.reasons import ReasonCode, describe_length
-from optnav_cli.stars.identify import SkyView, StarIdentifier, find_star_attitude
+from optnav_cli.stars.identify import StarIdentifier
+from optnav_cli.stars.sky import SkyView, find_star_attitude
 from optnav_cli.stars.spots import StarSpots, find_spots
 from tests.optnav_cli.made_skies import (
     CAMERA,

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.stereo.height import measure_height
 from tests.optnav_cli.stereo.pairs import DOWN, brightness, picture, rig
 

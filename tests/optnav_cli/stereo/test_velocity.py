@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.stereo.height import StereoHeight, measure_height
 from optnav_cli.stereo.rig import Rig
 from optnav_cli.stereo.velocity import Step, measure_velocity

@@ -10,7 +10,7 @@ from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.config import resource
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.dynamics.left_out import forces_left_out, gravity_remark, unknown_j2
 from optnav_cli.dynamics.orbit_settings import ForcesSettings, SunlightSettings

@@ -14,8 +14,8 @@ from tests.optnav_cli.orbit.fit.flights import flight, write_run
 CHECKOUT = Path(__file__).resolve().parents[4]
 # The last file of a folder is its manifest: all others are there by then.
 KILLED = (
-    "import os, sys; from optnav_cli.orbit.{0} import job as module; "
-    "module.write_manifest = lambda *a, **k: os.kill(os.getpid(), 9); "
+    "import os, sys; from optnav_cli.output import manifest; "
+    "manifest.write_manifest = lambda *a, **k: os.kill(os.getpid(), 9); "
     "from optnav_cli.main import run; sys.exit(run(sys.argv[1:]))"
 )
 FIT = "[forces]\ndegree = 2\n[noise]\ndensity_m2_s3 = 1e-12\n"
@@ -30,16 +30,16 @@ LANDING = (
 
 
 @pytest.mark.parametrize(
-    ("module", "command", "settings"),
+    ("command", "settings"),
     [
-        ("fit", ("orbit", "fit", "run", "--config"), FIT),
-        ("qso", ("orbit", "qso"), QSO),
-        ("landing", ("orbit", "landing"), LANDING),
-        ("delivery", ("orbit", "delivery"), "bundled:delivery_moon_optical"),
+        (("orbit", "fit", "run", "--config"), FIT),
+        (("orbit", "qso"), QSO),
+        (("orbit", "landing"), LANDING),
+        (("orbit", "delivery"), "bundled:delivery_moon_optical"),
     ],
 )
 def test_a_killed_command_leaves_nothing_and_the_same_one_gives_the_same_bytes(
-    module, command, settings, tmp_path, monkeypatch
+    command, settings, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
     write_run(tmp_path / "run", flight(minutes=40.0).fixes)
@@ -48,7 +48,7 @@ def test_a_killed_command_leaves_nothing_and_the_same_one_gives_the_same_bytes(
         settings = "settings.toml"
     words = [*command, settings, "-q", "-o"]
     before = {path.name for path in tmp_path.iterdir()}
-    code = [sys.executable, "-c", KILLED.format(module), *words, "out"]
+    code = [sys.executable, "-c", KILLED, *words, "out"]
     done = subprocess.run(
         code, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(CHECKOUT)}, check=False
     )

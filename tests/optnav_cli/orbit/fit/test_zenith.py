@@ -8,7 +8,7 @@ import pytest
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.bodies.stars import load_bright_stars
 from catalog.errors import DataError, NoSolutionError
-from catalog.geometry.vectors import ARCSEC
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.frames.orbit_tables import ZENITH
 from optnav_cli.main import run
 from optnav_cli.orbit.fit.folder import read_orbit

@@ -12,7 +12,6 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import compute_normals, project_to_surface
 from catalog.terrain.synthetic import fractal
 from optnav_cli.orbit.landing.descent import check_clear, depart
-from optnav_cli.orbit.landing.model import OnboardMotion, turning_state
 from optnav_cli.orbit.landing.navigation import (
     BeamRanges,
     RangeNavigator,
@@ -32,6 +31,7 @@ from optnav_cli.orbit.landing.trials import (
     surface_error,
     wrong_ground,
 )
+from tests.studies.landing_models import OnboardMotion, turning_state
 
 PHOBOS = load_body("phobos")
 SETTINGS = load_landing_settings(Path("bundled:landing_phobos"))

@@ -12,6 +12,7 @@ from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.relief.sums import load_relief
 from catalog.terrain.skyline.limb import LimbRelief, make_nadir_axes
+from optnav_cli.outline.limb.ground_skyline import make_relief_skyline
 from optnav_cli.outline.limb.limb_rays import (
     compute_relief_covariance,
     compute_rough_errors,
@@ -20,7 +21,6 @@ from optnav_cli.outline.limb.limb_rays import (
 )
 from optnav_cli.outline.limb.method import navigate
 from optnav_cli.outline.limb.model import azimuths_about_nadir, fit_limb
-from optnav_cli.outline.limb.relief_skyline import make_relief_skyline
 from optnav_cli.outline.limb.skyline import fit_repeatedly
 from tests.optnav_cli.outline.limb.limbs import (
     CAMERA,

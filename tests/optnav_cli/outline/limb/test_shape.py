@@ -17,13 +17,13 @@ from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.skyline.limb import LimbRelief, make_nadir_axes
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.outline.limb.detection import LimbPoints, find_limb
-from optnav_cli.outline.limb.limb_rays import LimbRays
-from optnav_cli.outline.limb.method import navigate
-from optnav_cli.outline.limb.shape_skyline import (
+from optnav_cli.outline.limb.ground_skyline import (
     ShapeSkyline,
     estimate_relief_fraction,
     is_shape,
 )
+from optnav_cli.outline.limb.limb_rays import LimbRays
+from optnav_cli.outline.limb.method import navigate
 from tests.optnav_cli.outline.limb.limbs import grounds, limb_points, place
 
 PHOBOS = load_body("phobos")
