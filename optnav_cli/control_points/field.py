@@ -282,9 +282,11 @@ class ControlPointField:
         index: IndexArray = np.array(2 * nearest, dtype=np.int64)
         if not nearest or self.find_stated_error(nearest[0]) is None:
             return NOT_STATED
-        own, region = self.compute_terrain_sigmas_m(index, sides_m)
-        rest = np.sqrt(np.maximum(own**2 - region**2, 0.0))
-        return StatedSigmas(float(rest[0]), float(rest[1]), float(region[0]), float(region[1]))
+        template, region = self.compute_terrain_sigmas_m(index, sides_m)
+        remainder = np.sqrt(np.maximum(template**2 - region**2, 0.0))
+        return StatedSigmas(
+            float(remainder[0]), float(remainder[1]), float(region[0]), float(region[1])
+        )
 
     def resolution_m(self, place_m: FloatArray) -> float | None:
         """Return the shortest wave that the model at a place holds; None where none is stated."""

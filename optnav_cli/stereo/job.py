@@ -28,7 +28,7 @@ from optnav_cli.stereo.velocity import (
     BeamRange,
     SideVelocity,
     Step,
-    level_ground,
+    lay_level_ground,
     measure_one_eyed_velocity,
     measure_velocity,
 )
@@ -186,7 +186,7 @@ def _measure_single(
         return StereoRow(frame.file, "", frame.utc, reason=str(error)), None
     ship = _compute_ship_attitude(eye, frame)
     down, remark = _find_down(ship, frame)
-    height = level_ground(eye, seen, down)
+    height = lay_level_ground(eye, seen, down)
     state = _RangedState(frame, picture, seen, down, ship)
     if before is None:
         return StereoRow(frame.file, "", frame.utc, height, reason=remark), state

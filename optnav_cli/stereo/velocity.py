@@ -131,7 +131,7 @@ class BeamRange:
     sigma_m: float
 
 
-def level_ground(eye: Eye, seen: BeamRange, down: FloatArray) -> StereoHeight:
+def lay_level_ground(eye: Eye, seen: BeamRange, down: FloatArray) -> StereoHeight:
     """Lay level ground through the point that an altimeter measures; down (3,) ship frame."""
     rays = Rig(eye, eye).compute_grid_rays()
     cosine = float(seen.beam @ down)
@@ -154,8 +154,8 @@ def measure_one_eyed_velocity(
     The motion shows the ground's shape up to a scale, and the later range gives that. Raises
     NoSolutionError as `measure_velocity`, and for ranges that contradict the pictures.
     """
-    earlier = level_ground(eye, before[1], before[2])
-    height = level_ground(eye, now[1], step.down)
+    earlier = lay_level_ground(eye, before[1], before[2])
+    height = lay_level_ground(eye, now[1], step.down)
     turn, said = step.before_from_now.as_matrix(), earlier.height_m - height.height_m
     try:
         measure_velocity((before[0], earlier), (now[0], height), eye, step)
@@ -171,9 +171,9 @@ def measure_one_eyed_velocity(
         height = shaped
     velocity = measure_velocity((before[0], earlier), (now[0], height), eye, step)
     sank = step.seconds * float(velocity.velocity_m_s @ step.down)
-    own = step.seconds**2 * float(step.down @ velocity.covariance @ step.down)
+    sink_m2 = step.seconds**2 * float(step.down @ velocity.covariance @ step.down)
     relief = LEVEL_SHARE * (said + 2.0 * height.height_m)
-    sigma = float(np.sqrt(own + relief**2 + before[1].sigma_m ** 2 + now[1].sigma_m ** 2))
+    sigma = float(np.sqrt(sink_m2 + relief**2 + before[1].sigma_m ** 2 + now[1].sigma_m ** 2))
     if abs(sank - said) > MAX_SIGMAS * sigma:
         raise NoSolutionError(
             f"the altimeter's ranges of {before[1].range_m:.1f} and {now[1].range_m:.1f} m say "

@@ -364,9 +364,9 @@ class JointState:
         common = np.hypot(
             np.sqrt(sizes.common) * high, sizes.stated_height * stated.region_height_m
         )
-        own = sizes.altimeter_postings * posting, sizes.stated_height * stated.height_m
+        parts = sizes.altimeter_postings * posting, sizes.stated_height * stated.height_m
         width = windows.points.resolution_m(place_m) or posting
-        return unit(place_m) * common, float(np.hypot(*own)), width
+        return unit(place_m) * common, float(np.hypot(*parts)), width
 
     def compute_sunward_px(
         self, window: Window, by_position: FloatArray, sun_body: FloatArray
