@@ -63,6 +63,9 @@ def words_with(names: tuple[str, ...], param: click.Parameter, value: str) -> li
             words += [other.opts[0], f"x{[*getattr(other, 'endings', ()), '.json'][0]}"]
     if names == ("calibrate",) and param.name != "catalogs":
         words += ["--catalog", "x"]  # else it asks for one, or for the spacing of a grid
+    if names == ("export",) and param.name in ("dem", "dem_sigma_m", "posting_m", "pictures"):
+        words[words.index("x.gpkg")] = "x"  # a folder of maps
+        words += ["--ortho", *([] if param.name == "dem" else ["--dem", "x"])]
     return [*words, *given]
 
 
