@@ -17,8 +17,15 @@ from optnav_cli.archives.isis_camera import CubeCamera, crop_camera, read_cube_c
 from optnav_cli.archives.isis_cube import CubePose, read_cube_pose
 from optnav_cli.archives.label import ArchiveLabel, read_label
 from optnav_cli.archives.label_geometry import VectorKeys, list_unstated_keys
-from optnav_cli.archives.pixels import COPIED, is_flipped, read_picture_shape, store_picture
-from optnav_cli.archives.source import ImportSource, check_row_time, read_sources
+from optnav_cli.archives.pixels import (
+    COPIED,
+    ImportSource,
+    check_row_time,
+    is_flipped,
+    read_picture_shape,
+    read_sources,
+    store_picture,
+)
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.frames.folder import write_folder

@@ -8,6 +8,7 @@ import shutil
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 
 from catalog.arrays import BoolArray, FloatArray
+from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, read_input
 from catalog.keywords import Keyword, check_keywords
@@ -27,8 +29,8 @@ from catalog.special_values import (
     read_stored_value,
 )
 from optnav_cli.archives.frame import ImportTable
-from optnav_cli.archives.label import ArchiveLabel
-from optnav_cli.archives.source import ImportSource
+from optnav_cli.archives.isis_cube import Label, read_cube_label
+from optnav_cli.archives.label import ArchiveLabel, detect_format, read_label
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.fits_picture import find_unit, get_fits_shape, is_fits, read_fits
 from optnav_cli.frames.raster_pixels import (
@@ -39,6 +41,7 @@ from optnav_cli.frames.raster_pixels import (
     find_mask,
     read_raster,
 )
+from optnav_cli.frames.tables import TIMES
 
 MAX_BYTES = 256 * MEGABYTE
 MAX_SIDE = 65_536
@@ -82,6 +85,63 @@ COPIED = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm")
 # Brightness as I/F is far below 1, where a navigator that thinks in counts sees nothing.
 HIGHEST = 60_000.0
 NO_VALUE = -1e30  # what ISIS and PDS write for pixels without a value is below
+
+
+@dataclass(frozen=True, eq=False)
+class ImportSource:
+    """One picture: the file that describes it, and what was read of it.
+
+    kind   a format of import tables
+    label  of FITS and PDS;  cube  the label of an ISIS cube;  utc  of a row in a list of times
+    file   the name of the picture, of a row;  where  "FILE, line N" of it
+    """
+
+    path: Path
+    kind: str
+    label: ArchiveLabel | None = None
+    cube: Label | None = None
+    utc: str = ""
+    file: str = ""
+    where: str = ""
+
+    def text(self, key: str) -> str:
+        """Return the label's value of a keyword, "" where it states none."""
+        if self.label is not None:
+            try:
+                return self.label.text(key)
+            except DataError:
+                return ""
+        if self.cube is not None:
+            return str(self.cube.get("IsisCube", {}).get("Instrument", {}).get(key, ""))
+        return ""
+
+
+def read_sources(path: Path) -> Iterator[ImportSource]:
+    """Read what a file describes: one picture, or those of a list of times. Raises DataError."""
+    if path.suffix.lower() == ".csv":
+        for row in TIMES.rows(path):
+            yield ImportSource(path, "times", utc=row["utc"], file=row["file"], where=row.where)
+        return
+    kind = detect_format(path)
+    if kind is not None:
+        yield ImportSource(path, kind, label=read_label(path, kind))
+        return
+    try:
+        cube = read_cube_label(path)
+    except DataError:
+        raise DataError(
+            f"{path}: no label with a geometry in it; wanted an ISIS cube, a PDS label, a FITS "
+            "file, a list of settings, or a .csv with the times of pictures"
+        ) from None
+    yield ImportSource(path, "isis", cube=cube)
+
+
+def check_row_time(source: ImportSource) -> None:
+    """Refuse a time of a list that is none, by its line and column. Raises DataError."""
+    try:
+        utc_to_tdb_s(source.utc, "utc")
+    except DataError as error:
+        raise DataError(f"{source.where}: {error}") from None
 
 
 def read_pds3_pixels(label: ArchiveLabel) -> NDArray[np.generic]:

@@ -12,7 +12,7 @@ from catalog.errors import OptnavError
 from catalog.terrain.dem.source import DemSource
 from optnav_cli.archives.frame import FrameMaker, load_table
 from optnav_cli.archives.isis_cube import read_cube_pose
-from optnav_cli.archives.source import read_sources
+from optnav_cli.archives.pixels import read_sources
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.orbit.fit.oem_reader import read_oem
