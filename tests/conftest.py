@@ -50,8 +50,16 @@ def pytest_make_collect_report(
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the commands run as a whole last: by then most kernels have been compiled."""
-    items.sort(key=lambda item: ("end_to_end" in item.path.parts, item.path.parts))
+    """Put the commands run as a whole last: by then most kernels have been compiled.
+
+    The installed wheel has kernels of its own; last, it would keep one process busy alone.
+    """
+
+    def key(item: pytest.Item) -> tuple[bool, tuple[str, ...]]:
+        whole = "end_to_end" in item.path.parts and item.path.name != "test_wheel.py"
+        return whole, item.path.parts
+
+    items.sort(key=key)
 
 
 def pytest_collection_finish() -> None:

@@ -48,10 +48,12 @@ def test_stereo_tables_hold_the_growth_with_the_height() -> None:
         results.append(result)
     off, spread = np.array([3e-3, 4e-3]), np.eye(2) * 2.5e-5
     results[1].velocity = [(off, spread)]
-    heights, growth, speeds = stereo.report(results).tables
+    results[1].one_eyed = [(2.0 * off, spread)]
+    heights, growth, speeds, single = stereo.report(results).tables
     assert growth.column("slope") == [pytest.approx(2.0)] * 4
     assert heights.column("exact_nees") == [pytest.approx(1.0)] * 5
     assert speeds.column("nees") == [pytest.approx(0.5)]
+    assert single.column("nees") == [pytest.approx(2.0)]
 
 
 def test_the_true_height_is_over_the_ground_and_not_over_the_sphere() -> None:

@@ -27,7 +27,7 @@ def folder_of(tmp_path: Path, quaternions: dict[str, np.ndarray], sigma: str = "
     lines = [",".join(FRAMES.names)]
     for number, (utc, quaternion) in enumerate(quaternions.items()):
         texts = ",".join(f"{value:.15f}" for value in quaternion)
-        lines.append(f"{number}.png,{utc},wide,{texts},{sigma}" + "," * 7)
+        lines.append(f"{number}.png,{utc},wide,{texts},{sigma}" + "," * (len(FRAMES.names) - 8))
     (tmp_path / "frames.csv").write_text("\n".join(lines) + "\n")
     return tmp_path
 
