@@ -143,12 +143,10 @@ class Descent:
 
     def _sample_last(self, view: PictureOnGround, pose: UncertainPose) -> Reference | None:
         """Sample the ground of the frame before."""
-        if self._last is None or view.projection is None:
+        if self._last is None:
             return None
         mapped, then = self._last
-        if mapped.view.projection is None:
-            return None
-        foot = mapped.view.projection.xy_from_latlon(view.projection.lat, view.projection.lon)
+        foot = mapped.view.placed.xy_from_latlon(view.placed.lat, view.placed.lon)
         covariance = then.compute_place_covariance(mapped.view, *(float(at) for at in foot))
         step_m = max(view.cell_m, mapped.view.cell_m)
         margin = _measure_margin(view, pose, covariance, step_m)
@@ -194,9 +192,7 @@ def carry_pads(
     heights  of the ground; None: one level, that of the view
     """
     view, risk = mapped.view, mapped.risk
-    projection = view.projection
-    if projection is None:
-        raise ValueError("carry_pads: the view needs a place on the body")
+    projection = view.placed
     half_m = 0.5 * settings.square_m
     reach_m = min(max(REACH * float(view.camera_m[2]), 0.5 * settings.pad_m), half_m)
     reach = max(1, round(reach_m / view.cell_m / risk.step))
@@ -248,10 +244,8 @@ def _place_pad(
 ) -> tuple[tuple[float, float, float], FloatArray, tuple[float, float]]:
     """Place a pad: latitude, longitude, height; covariance east and north; its pixel."""
     view = mapped.view
-    projection = view.projection
-    assert projection is not None
     x, y = (float(part) for part in view.xy_m(*cell))
-    lat, lon = (float(angle) for angle in projection.latlon(x, y))
+    lat, lon = (float(angle) for angle in view.placed.latlon(x, y))
     level_m = float(np.linalg.norm(pose.pose.position_m)) - pose.pose.radius_m
     height_m = level_m - float(view.camera_m[2])
     if heights is not None:

@@ -57,6 +57,13 @@ class PictureOnGround:
     lattice_px: FloatArray
 
     @property
+    def placed(self) -> Stereographic:
+        """Return the projection. Raises ValueError for a view without a place on the body."""
+        if self.projection is None:
+            raise ValueError("the view needs a place on the body")
+        return self.projection
+
+    @property
     def sun_elevation_deg(self) -> float:
         return _compute_elevation_deg(self.sun)
 

@@ -5,7 +5,6 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -14,21 +13,19 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from catalog.errors import DataError, NoSolutionError, NothingToDoError, UsageError
-from catalog.files import hash_file, replace_folder
+from catalog.errors import DataError, NoSolutionError, UsageError
+from catalog.files import hash_file
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.projection import Stereographic
 from catalog.inputs import check_input
-from catalog.places import check_apart
-from catalog.progress import Progress, log_stage
+from catalog.progress import Progress
 from catalog.store.reader import Catalog
 from catalog.terrain.dem.source import DemSource
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.frames.folder import Folder, read_folder
-from optnav_cli.frames.frames import Frame, picture_path
+from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture, load_frame_picture, load_picture
-from optnav_cli.frames.run_settings import RUN_TOML, read_run_settings
 from optnav_cli.hazard.descent import Descent
 from optnav_cli.hazard.ground_view import Heights, KnownPose, look_down, look_from
 from optnav_cli.hazard.hazard_map import (
@@ -41,8 +38,13 @@ from optnav_cli.hazard.hazard_map import (
 )
 from optnav_cli.hazard.output import HazardOutput, MappedFrame
 from optnav_cli.hazard.settings import KIND, OPTIONS, HazardSettings, load_settings
-from optnav_cli.output.manifest import read_manifest, write_manifest
-from optnav_cli.output.run_folder import SOLUTION, read_run
+from optnav_cli.output.manifest import output_folder
+from optnav_cli.output.run_folder import (
+    SOLUTION,
+    check_run_picture,
+    find_run_pictures,
+    read_run,
+)
 
 log = logging.getLogger(__name__)
 
@@ -135,10 +137,8 @@ def map_picture(
     Raises DataError for files that cannot be used, NothingToDoError without a pad in any square;
     the output folder is written then, too.
     """
-    started = datetime.now(UTC)
     settings = inputs.settings
     check_settings(settings)
-    check_apart(output, [picture, camera_file])
     for path in inputs.list_files():
         raise UsageError(
             f"{path}: needs a place on the body; a single picture has none: give a "
@@ -154,16 +154,12 @@ def map_picture(
         frame.mapped = map_hazard(view, settings)
     except NoSolutionError as error:
         frame.reason = str(error)
-    origin = {"picture": picture, "sha256": hash_file(picture), "camera": camera_file.name}
-    options = msgspec.to_builtins(settings) | msgspec.to_builtins(light)
-    with log_stage("hazard"), replace_folder(output, KIND) as partial:
-        with HazardOutput(partial, None, settings, many=False) as out:
-            out.add(frame)
-        write_manifest(
-            partial, KIND, command="hazard", options=options, inputs=origin,
-            results=_count_results([frame]), started=started,
-        )  # fmt: skip
-    _check_found([frame])
+    with output_folder(output, KIND, "hazard", [picture, camera_file], "hazard") as out:
+        with HazardOutput(out.path, None, settings, many=False) as maps:
+            maps.add(frame)
+        out.options = msgspec.to_builtins(settings) | msgspec.to_builtins(light)
+        out.inputs = {"picture": picture, "sha256": hash_file(picture), "camera": camera_file.name}
+        out.results, out.failure = _count_results([frame]), _explain_no_pad([frame])
     return frame
 
 
@@ -174,32 +170,27 @@ def map_folder(
 
     Raises as `map_picture`; what is wrong with one frame is its reason.
     """
-    started = datetime.now(UTC)
     settings = inputs.settings
     check_settings(settings)
-    check_apart(output, [path, *inputs.list_files()])
     folder = read_folder(path)
     frames = []
     with ExitStack() as stack:
         ground, _ = _open_ground(inputs, folder.body, stack)
         prior = None if inputs.slopes is None else read_slopes(inputs.slopes, folder.body)
-        stack.enter_context(log_stage("hazard"))
-        partial = stack.enter_context(replace_folder(output, KIND))
+        sources = [path, *inputs.list_files()]
+        out = stack.enter_context(output_folder(output, KIND, "hazard", sources, "hazard"))
         bar = stack.enter_context(progress.stage("hazard", len(folder.frames), "picture"))
         many = len(folder.frames) > 1
-        with HazardOutput(partial, folder.body, settings, many=many) as out:
+        with HazardOutput(out.path, folder.body, settings, many=many) as maps:
             for row in folder.frames:
                 frame = _map_frame(folder, row, ground, inputs, prior)
-                out.add(frame)
+                maps.add(frame)
                 frames.append(frame.drop_pixels())
                 bar.advance()
-        origin: dict[str, object] = {"folder": path, "body": folder.settings.body}
-        origin |= {named.name: hash_file(named) for named in inputs.list_files()}
-        write_manifest(
-            partial, KIND, command="hazard", options=msgspec.to_builtins(settings), inputs=origin,
-            results=_count_results(frames), started=started,
-        )  # fmt: skip
-    _check_found(frames)
+        out.options = msgspec.to_builtins(settings)
+        out.inputs = {"folder": path, "body": folder.settings.body}
+        out.inputs |= {named.name: hash_file(named) for named in inputs.list_files()}
+        out.results, out.failure = _count_results(frames), _explain_no_pad(frames)
     return frames
 
 
@@ -210,13 +201,11 @@ def map_run(run: Path, inputs: HazardInputs, output: Path, progress: Progress) -
     one line of text per picture and one about the pads. Raises as `map_picture`, and DataError for
     pictures that are not the run's.
     """
-    started = datetime.now(UTC)
     settings = inputs.settings
     check_settings(settings)
     if inputs.height_m is not None:
         raise UsageError("--height-m is for frames without a terrain model; leave it out of a run")
-    pictures, known = _find_pictures(run, inputs.pictures)
-    check_apart(output, [run, pictures, *inputs.list_files()])
+    pictures, known = find_run_pictures(run, inputs.pictures)
     folder = replace(read_folder(run), path=pictures)
     solved = {solution.file: solution for solution in read_run(run).solutions}
     rows = [row for row in folder.frames if row.file in solved]
@@ -225,34 +214,31 @@ def map_run(run: Path, inputs: HazardInputs, output: Path, progress: Progress) -
     with ExitStack() as stack:
         ground, posting_m = _open_ground(inputs, folder.body, stack)
         prior = _open_prior(inputs, folder.body)
-        stack.enter_context(log_stage("hazard"))
-        partial = stack.enter_context(replace_folder(output, KIND))
+        sources = [run, pictures, *inputs.list_files()]
+        out = stack.enter_context(output_folder(output, KIND, "hazard", sources, "hazard"))
         bar = stack.enter_context(progress.stage("hazard", len(rows), "picture"))
         descent = Descent(folder, ground, settings, prior, posting_m)
-        with HazardOutput(partial, folder.body, settings, many=True) as out:
+        with HazardOutput(out.path, folder.body, settings, many=True) as maps:
             for row in rows:
                 frame = MappedFrame(row.file, folder.cameras.get(row.camera), None, row)
                 try:
-                    _check_picture(pictures, row.file, known)
+                    check_run_picture(pictures, row.file, known)
                     descent.map_frame(frame, solved[row.file])
                 except (NoSolutionError, DataError) as error:
                     frame.reason = str(error)
                     log.warning("%s: %s", row.file, error)
-                out.add(frame)
+                maps.add(frame)
                 frames.append(frame.drop_pixels())
                 bar.advance()
-            out.add_carried(descent.pads)
+            maps.add_carried(descent.pads)
         if prior is not None:
             _warn_uncovered(prior, descent)
-        origin: dict[str, object] = {"run": run, "pictures": pictures, "body": folder.settings.body}
-        origin |= {"solution_sha256": hash_file(run / SOLUTION)}
-        origin |= {named.name: hash_file(named) for named in inputs.list_files()}
-        results = _count_results(frames) | {"carried_pads": len(descent.pads)}
-        write_manifest(
-            partial, KIND, command="hazard", options=msgspec.to_builtins(settings), inputs=origin,
-            results=results, started=started,
-        )  # fmt: skip
-    _check_found(frames)
+        out.options = msgspec.to_builtins(settings)
+        out.inputs = {"run": run, "pictures": pictures, "body": folder.settings.body}
+        out.inputs |= {"solution_sha256": hash_file(run / SOLUTION)}
+        out.inputs |= {named.name: hash_file(named) for named in inputs.list_files()}
+        out.results = _count_results(frames) | {"carried_pads": len(descent.pads)}
+        out.failure = _explain_no_pad(frames)
     return [*_describe_results(frames), descent.describe()]
 
 
@@ -269,42 +255,6 @@ def _warn_uncovered(prior: PriorSlopes, descent: Descent) -> None:
             "map that covers them",
             prior.path, len(missed), len(descent.pads), ", ".join(missed[:5]),
         )  # fmt: skip
-
-
-def _find_pictures(run: Path, pictures: Path | None) -> tuple[Path, dict[str, str | None]]:
-    """Find the folder of a run's pictures, and their hashes by name."""
-    inputs = read_manifest(run).get("inputs")
-    inputs = inputs if isinstance(inputs, dict) else {}
-    hashes = inputs.get("files_sha256")
-    if pictures is None:
-        named = inputs.get("pictures")
-        if not isinstance(named, str) or not Path(named).is_dir():
-            raise DataError(
-                f"{run}: its pictures are not in {named or 'any folder that it names'}; name their "
-                "folder with --pictures"
-            )
-        pictures = Path(named)
-    if not pictures.is_dir():
-        raise DataError(f"{pictures}: there is no such folder; wanted that of the run's pictures")
-    if (pictures / RUN_TOML).is_file():
-        body, stated = (read_run_settings(at / RUN_TOML)[1].name for at in (run, pictures))
-        if body != stated:
-            raise DataError(
-                f"{pictures}: its pictures show {stated}, {run} is a run at {body}; name the "
-                "folder that the run was made from"
-            )
-    return pictures, hashes if isinstance(hashes, dict) else {}
-
-
-def _check_picture(pictures: Path, file: str, known: Mapping[str, str | None]) -> None:
-    """Raise DataError for a picture that is not the one that the run solved."""
-    wanted = known.get(file)
-    path = picture_path(pictures, file)
-    if wanted is not None and path.is_file() and hash_file(path) != wanted:
-        raise DataError(
-            f"{path}: is not the picture that the run was made from (another SHA-256); name the "
-            "folder of the run's pictures with --pictures"
-        )
 
 
 def _open_prior(inputs: HazardInputs, body: Body) -> PriorSlopes | None:
@@ -412,7 +362,7 @@ def _sample_catalog(catalog: Catalog, lat: FloatArray, lon: FloatArray) -> Float
     return sampled
 
 
-def _count_results(frames: list[MappedFrame]) -> dict[str, object]:
+def _count_results(frames: list[MappedFrame]) -> dict[str, Any]:
     mapped = [frame.summary for frame in frames if frame.summary is not None]
     return {
         "pictures": len(frames),
@@ -422,13 +372,12 @@ def _count_results(frames: list[MappedFrame]) -> dict[str, object]:
     }
 
 
-def _check_found(frames: list[MappedFrame]) -> None:
+def _explain_no_pad(frames: list[MappedFrame]) -> str:
+    """Explain why no square has a pad; "" where one has."""
     if any(frame.summary is not None and frame.summary.found for frame in frames):
-        return
+        return ""
     reasons = list(_list_reasons(frames))
-    raise NothingToDoError(
-        f"no square has a pad: {'; '.join(reasons[:3])}" + (" ..." if len(reasons) > 3 else "")
-    )
+    return f"no square has a pad: {'; '.join(reasons[:3])}" + (" ..." if len(reasons) > 3 else "")
 
 
 def _list_reasons(frames: list[MappedFrame]) -> Iterator[str]:

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.geometry.vectors import unit
+from optnav_cli.estimation.models.points import differentiate_places
 from optnav_cli.hazard.ground_view import Heights, KnownPose, PictureOnGround, average_boxes
 
 MIN_SCORE = 0.4  # correlation of a window; peaks of unrelated ground rarely reach it
@@ -98,22 +99,12 @@ def compute_place_jacobian(
     Returns (n, 2, 7): by the camera's position (3, body frame, m), a turn of the camera about the
     body's axes (3, rad), and the height of the ground (m).
     """
-    projection = view.projection
-    assert projection is not None  # a pose has a place on the body
-    local = projection.body_from_local
-    up = local[:, 2]
+    local = view.placed.body_from_local
     level_m = float(np.linalg.norm(pose.position_m)) - pose.radius_m - float(view.camera_m[2])
-    points = projection.points(places_m[:, 0], places_m[:, 1], np.full(len(places_m), level_m))
-    rays = points - pose.position_m
-    along = rays / (rays @ up)[:, None]
-    # A ray that moves by d meets the ground where it moves by d less its height along the ray.
-    slide = np.eye(3) - along[:, :, None] * up
-    cross = np.zeros((len(rays), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -rays[:, 2], rays[:, 1], -rays[:, 0]
-    cross -= np.swapaxes(cross, 1, 2)
-    flat = local[:, :2].T
-    moved = np.concatenate([slide, -slide @ cross, along[:, :, None]], axis=2)
-    jacobian: FloatArray = flat @ moved
+    points = view.placed.points(places_m[:, 0], places_m[:, 1], np.full(len(places_m), level_m))
+    jacobian: FloatArray = local[:, :2].T @ differentiate_places(
+        points - pose.position_m, local[:, 2]
+    )
     return jacobian
 
 
@@ -122,10 +113,8 @@ def sample_ground(
     view: PictureOnGround,
 ) -> Float32Array:  # fmt: skip
     """Sample a map on the grid of another view at places x, y of a view's map; NaN outside."""
-    if source.projection is None or view.projection is None:
-        raise ValueError("sample_ground: both views need a place on the body")
     rows, cols = source.brightness.shape
-    east, north = source.projection.xy_from_latlon(*view.projection.latlon(x, y))
+    east, north = source.placed.xy_from_latlon(*view.placed.latlon(x, y))
     col = (east / source.cell_m + 0.5 * (cols - 1)).astype(np.float32)
     row = (0.5 * (rows - 1) - north / source.cell_m).astype(np.float32)
     filled = np.where(known, values, np.float32(0.0)).astype(np.float32)
@@ -168,13 +157,12 @@ def draw_terrain(
     from catalog.rendering.map_view import render_map_quickly
 
     x, y = make_grid(view, step_m, margin)
-    assert view.projection is not None
     wanted = x.shape
     side = max(wanted)  # maps are square
     full = np.full((side, side), np.nan, np.float32)
     top, left = (side - wanted[0]) // 2, (side - wanted[1]) // 2
     part = slice(top, top + wanted[0]), slice(left, left + wanted[1])
-    full[part] = heights(*view.projection.latlon(x, y))
+    full[part] = heights(*view.placed.latlon(x, y))
     bright = render_map_quickly(
         full, step_m, view.sun, radius_m=radius_m, view_local=unit(view.camera_m)
     )

@@ -32,11 +32,18 @@ from catalog.rasters import encode_geotiff
 from catalog.store.geopackage import format_stereographic_wkt
 from catalog.terrain.dem.source import DemSource
 from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.models.points import differentiate_places
 from optnav_cli.fix import MatchRow, Solution
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.tables import ORTHO
-from optnav_cli.output.manifest import hash_files, output_folder, read_manifest
-from optnav_cli.output.run_folder import MATCHES, SOLUTION, RunFolder
+from optnav_cli.output.manifest import hash_files, output_folder
+from optnav_cli.output.run_folder import (
+    MATCHES,
+    SOLUTION,
+    RunFolder,
+    check_run_picture,
+    find_run_pictures,
+)
 from optnav_cli.reasons import ReasonCode
 
 KIND, STAGE = "orthophotos", "ortho"
@@ -95,16 +102,13 @@ class SolvedPose:
 
     def compute_sigmas(self, points_m: FloatArray, dem_m: float) -> FloatArray:
         """Horizontal 1 sigma (n,), m, root mean square of two axes, of places (n, 3) as mapped."""
-        sight = points_m - self.position_m
-        length = np.linalg.norm(sight, axis=1, keepdims=True)
-        ray, up = sight / length, unit(points_m)
-        slide = ray / np.minimum((ray * up).sum(axis=1, keepdims=True), -1e-3)
-        # a change of the camera moves the place along the ground: what is left of it across `up`
-        flat = np.eye(3) - slide[:, :, None] * up[:, None, :]
-        turned = cross_matrix(sight) @ self.camera_from_body.T
-        slopes = flat @ np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2)
+        up = unit(points_m)
+        moved = differentiate_places(points_m - self.position_m, up)
+        # a turn of the camera's frame is the opposite one of the body's
+        turned = -moved[:, :, 3:6] @ self.camera_from_body.T
+        slopes = np.concatenate([moved[:, :, :3], turned], axis=2)
         pose = np.einsum("nij,jk,nik->n", slopes, self.covariance, slopes)
-        sideways = slide - up * (slide * up).sum(axis=1, keepdims=True)
+        sideways = moved[:, :, 6] - up
         heights = dem_m**2 * (sideways**2).sum(axis=1)
         sigmas: FloatArray = np.sqrt(0.5 * (pose + heights))
         return sigmas
@@ -118,7 +122,7 @@ def export_orthophotos(
     Frames that cannot be laid out have a row with the reason. Raises DataError for a terrain model
     or pictures that cannot be used, NothingToDoError, after the folder is written, for no frame.
     """
-    pictures = settings.pictures or find_pictures(run.path)
+    pictures, known = find_run_pictures(run.path, settings.pictures)
     sources = [run.path, settings.dem, pictures]
     with output_folder(output, KIND, "export", sources, STAGE) as out:
         dem = DemSource.open_alone(settings.dem, run.attitude.body)
@@ -128,6 +132,7 @@ def export_orthophotos(
                 for solution in run.solutions:
                     row: dict[str, object] = {"file": solution.file, "status": "unsolved"}
                     try:
+                        check_run_picture(pictures, solution.file, known)
                         row |= _export_frame(run, solution, pictures, (dem, settings), out.path)
                     except (NoSolutionError, DataError) as error:
                         row["reason"] = str(error)
@@ -148,18 +153,6 @@ def export_orthophotos(
         if not made:
             out.failure = f"{run.path}: no frame could be laid out; the first: {rows[0]['reason']}"
     return rows
-
-
-def find_pictures(run: Path) -> Path:
-    """The picture folder that a run's manifest names. Raises DataError where it is gone."""
-    named = read_manifest(run)["inputs"].get("pictures")
-    folder = Path(str(named)) if named else None
-    if folder is None or not folder.is_dir():
-        raise DataError(
-            f"{run}: was navigated from {folder or 'an unnamed folder'}, which is not there; "
-            "name the picture folder by --pictures"
-        )
-    return folder
 
 
 def _export_frame(

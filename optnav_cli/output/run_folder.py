@@ -6,7 +6,7 @@ And what came of a run, as a few lines for people.
 import math
 import shutil
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,11 +14,12 @@ import numpy as np
 
 from catalog.bodies.body import is_body_file
 from catalog.errors import ConfigError, DataError
+from catalog.files import hash_file
 from catalog.tables import CsvTable
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.fix import MatchRow, Method, Solution
-from optnav_cli.frames.frames import read_time_sigma
+from optnav_cli.frames.frames import picture_path, read_time_sigma
 from optnav_cli.frames.points import POINTS_CSV
 from optnav_cli.frames.run_settings import (
     RUN_TOML,
@@ -28,6 +29,7 @@ from optnav_cli.frames.run_settings import (
     write_run_settings,
 )
 from optnav_cli.frames.tables import CAMERA, FILE, UTC_SIGMA
+from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.tables import read_matches, read_solutions
 from optnav_cli.output.wording import align_table, choose_length_unit, format_plural
 
@@ -82,6 +84,46 @@ def read_run(path: Path) -> RunFolder:
     return RunFolder(
         path, settings, attitude, solutions, matches, _read_cameras(path), _read_time_sigmas(path)
     )
+
+
+def find_run_pictures(run: Path, pictures: Path | None) -> tuple[Path, dict[str, str | None]]:
+    """Find the folder of a run's pictures, and their SHA-256 by name as the run knows them.
+
+    pictures  the folder that the user names; None: as the run's manifest says
+    Raises DataError where it is gone, or shows another body.
+    """
+    inputs = read_manifest(run).get("inputs")
+    inputs = inputs if isinstance(inputs, dict) else {}
+    hashes = inputs.get("files_sha256")
+    if pictures is None:
+        named = inputs.get("pictures")
+        if not isinstance(named, str) or not Path(named).is_dir():
+            raise DataError(
+                f"{run}: its pictures are not in {named or 'any folder that it names'}; name the "
+                "picture folder by --pictures"
+            )
+        pictures = Path(named)
+    if not pictures.is_dir():
+        raise DataError(f"{pictures}: there is no such folder; wanted that of the run's pictures")
+    if (pictures / RUN_TOML).is_file():
+        body, stated = (read_run_settings(at / RUN_TOML)[1].name for at in (run, pictures))
+        if body != stated:
+            raise DataError(
+                f"{pictures}: its pictures show {stated}, {run} is a run at {body}; name the "
+                "folder that the run was made from"
+            )
+    return pictures, hashes if isinstance(hashes, dict) else {}
+
+
+def check_run_picture(pictures: Path, file: str, known: Mapping[str, str | None]) -> None:
+    """Raise DataError for a picture that is not the one that the run solved."""
+    wanted = known.get(file)
+    path = picture_path(pictures, file)
+    if wanted is not None and path.is_file() and hash_file(path) != wanted:
+        raise DataError(
+            f"{path}: is not the picture that the run was made from (another SHA-256); name the "
+            "folder of the run's pictures with --pictures"
+        )
 
 
 def _read_time_sigmas(path: Path) -> dict[str, float]:

@@ -98,11 +98,8 @@ class InertialPath(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_onl
                 f"[flight] lowest_km is {flight.lowest_km:g}, above highest_km "
                 f"{flight.highest_km:g}; exchange them"
             )
-        if transfer is not None and transfer.to_km >= transfer.from_km:
-            raise ConfigError(
-                f"[transfer] to_km is {transfer.to_km:g}, not below from_km "
-                f"{transfer.from_km:g}; the path comes from far and ends near"
-            )
+        if transfer is not None:
+            _check_ends("transfer", transfer.from_km, transfer.to_km)
 
     def shortened(self, frames: int) -> Self:
         """A flight ends earlier, a transfer takes larger steps."""
@@ -121,6 +118,14 @@ class InertialPath(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_onl
         else:
             states = transfer_states(self.transfer or TransferSettings(), motion)
         return epochs_of(self, motion, states)
+
+
+def _check_ends(section: str, from_km: float, to_km: float) -> None:
+    if to_km >= from_km:
+        raise ConfigError(
+            f"[{section}] to_km is {to_km:g}, not below from_km {from_km:g}; the path comes from "
+            "far and ends near"
+        )
 
 
 def epochs_of(scenario: ScenarioBase, motion: Ephemeris, states: States) -> list[Epoch]:
@@ -274,12 +279,7 @@ class Approach(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=T
 
     def check(self) -> None:
         super().check()
-        from_km, to_km = self.approach.from_km, self.approach.to_km
-        if to_km >= from_km:
-            raise ConfigError(
-                f"[approach] to_km is {to_km:g}, not below from_km {from_km:g}; "
-                "the path comes from far and ends near"
-            )
+        _check_ends("approach", self.approach.from_km, self.approach.to_km)
 
     def shortened(self, frames: int) -> Self:
         """Return the path in larger steps."""

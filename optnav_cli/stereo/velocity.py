@@ -158,18 +158,18 @@ def measure_one_eyed_velocity(
     height = lay_level_ground(eye, now[1], step.down)
     turn, said = step.before_from_now.as_matrix(), earlier.height_m - height.height_m
     try:
-        measure_velocity((before[0], earlier), (now[0], height), eye, step)
+        velocity = measure_velocity((before[0], earlier), (now[0], height), eye, step)
     except NoSolutionError:
         # ranges that are wrong hide the ground from the search: without a sink it may be found
         earlier = replace(earlier, height_m=height.height_m)
-    for _ in range(SHAPE_ROUNDS):
         velocity = measure_velocity((before[0], earlier), (now[0], height), eye, step)
+    for _ in range(SHAPE_ROUNDS):
         shift = step.seconds * turn @ velocity.velocity_m_s
         shaped = _shape_ground(before[0], now, height, eye, turn, shift)
         if shaped is None:
             break
         height = shaped
-    velocity = measure_velocity((before[0], earlier), (now[0], height), eye, step)
+        velocity = measure_velocity((before[0], earlier), (now[0], height), eye, step)
     sank = step.seconds * float(velocity.velocity_m_s @ step.down)
     sink_m2 = step.seconds**2 * float(step.down @ velocity.covariance @ step.down)
     relief = LEVEL_SHARE * (said + 2.0 * height.height_m)

@@ -124,3 +124,17 @@ class AttitudeModel:
         """The measured turn, seen from the present attitude, in the camera frame."""
         offset = (self._measured * state.camera_from_body.inv()).as_rotvec()
         return linearised(offset, np.eye(3, 6, 3), self._weights)
+
+
+def differentiate_places(sight_m: FloatArray, up: FloatArray) -> FloatArray:
+    """Compute how places on the ground that pixels show move with the pose, (n, 3, 7).
+
+    sight_m  (n, 3) from the camera to the places, body frame;  up (n, 3) or (3,) unit verticals
+    Columns: by the camera's position (3), by its turn about the body's axes (3, rad), by the height
+    of the ground. A ray that moves by d meets the ground where it moves by d less its height along
+    the ray.
+    """
+    along = sight_m / (sight_m * up).sum(axis=1, keepdims=True)
+    slide = np.eye(3) - along[:, :, None] * np.atleast_2d(up)[:, None, :]
+    turned = -slide @ cross_matrix(sight_m)
+    return np.concatenate([slide, turned, along[:, :, None]], axis=2)
