@@ -33,24 +33,22 @@ class PointStore(Protocol):
         """The levels of a point, finest first; DataError when they are damaged."""
 
 
-# Side of the ground, m, whose error all windows of a descent share: wider templates err no less.
-REGION_M = 19e3
+# Sides of squares, m, that divide a stated error into bands, each of waves longer than the last's.
+BAND_SIDES_M: FloatArray = np.array([19e3 / 2**k for k in range(6, -1, -1)])
 
 
-class StatedSigmas(NamedTuple):
-    """Errors that a terrain model's stated error causes, 1 sigma, m; 0 where none is stated.
+class StatedBands(NamedTuple):
+    """Errors of a template by the stated error of its terrain model, by width of the ground.
 
-    shift_m, height_m            of one template: its place per axis and its mean height, less:
-    region_shift_m, region_height_m  what templates of a region have in common
+    sides_m   (k,) rising: an error of a band is alike over about such a side
+    sigmas_m  (k, 2) 1 sigma of the place per axis and of the mean height; their squares add up
     """
 
-    shift_m: float
-    height_m: float
-    region_shift_m: float
-    region_height_m: float
+    sides_m: FloatArray
+    sigmas_m: FloatArray
 
 
-NOT_STATED = StatedSigmas(0.0, 0.0, 0.0, 0.0)
+NOT_STATED = StatedBands(BAND_SIDES_M, np.zeros((len(BAND_SIDES_M), 2)))
 
 
 @dataclass(frozen=True)
@@ -160,16 +158,23 @@ class ControlPointField:
         """
         sigmas = np.zeros((len(index), 2))
         for k, (point, size) in enumerate(zip(index.tolist(), sizes_m.tolist(), strict=True)):
-            error = self.find_stated_error(point)
-            reference = self.reference(point) if error is not None else None
-            if error is not None and reference is not None:
-                box_m = 1e3 * error.box_km
-                patch = min(
-                    reference.patches, key=lambda patch: abs(np.log(patch.posting_m / box_m))
-                )
-                slope = measure_rms_slope(patch.heights_m, patch.posting_m, size)
+            stated = self._measure_stated_ground(point, size)
+            if stated is not None:
+                error, slope = stated
                 sigmas[k] = error.point_sigma_m(size, slope)
         return sigmas
+
+    def _measure_stated_ground(
+        self, index: int, size_m: float
+    ) -> tuple[TerrainErrorModel, float] | None:
+        """Return a point's stated error and the rms slope of its ground; None where it has none."""
+        error = self.find_stated_error(index)
+        reference = self.reference(index) if error is not None else None
+        if error is None or reference is None:
+            return None
+        box_m = 1e3 * error.box_km
+        patch = min(reference.patches, key=lambda patch: abs(np.log(patch.posting_m / box_m)))
+        return error, measure_rms_slope(patch.heights_m, patch.posting_m, size_m)
 
     def name(self, index: int) -> tuple[str, int]:
         """Return the catalog of a point, and its id there."""
@@ -272,21 +277,21 @@ class ControlPointField:
     def _layer(self, index: int) -> PointLayer:
         return self.layers[int(self.layer_of[index])]
 
-    def compute_stated_errors(self, place_m: FloatArray, size_m: float) -> StatedSigmas:
+    def compute_stated_errors(self, place_m: FloatArray, size_m: float) -> StatedBands:
         """Compute what the stated error of the terrain model does to a template at a place (3,).
 
         size_m  side of the template on the ground; 0: of the smallest box that the model's law has
         """
         nearest = self.nearest(place_m, 1, np.inf)
-        sides_m = np.array([size_m, REGION_M])
-        index: IndexArray = np.array(2 * nearest, dtype=np.int64)
-        if not nearest or self.find_stated_error(nearest[0]) is None:
+        stated = self._measure_stated_ground(nearest[0], size_m) if nearest else None
+        if stated is None:
             return NOT_STATED
-        template, region = self.compute_terrain_sigmas_m(index, sides_m)
-        remainder = np.sqrt(np.maximum(template**2 - region**2, 0.0))
-        return StatedSigmas(
-            float(remainder[0]), float(remainder[1]), float(region[0]), float(region[1])
-        )
+        error, slope = stated
+        # what squares of a side still hold of the error, for those no smaller than the template
+        held = [error.point_sigma_m(max(size_m, side), slope) for side in BAND_SIDES_M]
+        squares = np.minimum.accumulate(np.square(held))
+        longer = np.concatenate([squares[1:], np.zeros((1, 2))])
+        return StatedBands(BAND_SIDES_M, np.sqrt(squares - longer))
 
     def resolution_m(self, place_m: FloatArray) -> float | None:
         """Return the shortest wave that the model at a place holds; None where none is stated."""

@@ -18,6 +18,7 @@ from optnav_cli.frames.folder import Folder
 from optnav_cli.frames.picture import Picture, load_frame_picture
 from optnav_cli.hazard.ground_view import Heights, KnownPose, PictureOnGround, look_from
 from optnav_cli.hazard.hazard_map import HazardMap, PriorSlopes, map_hazard
+from optnav_cli.hazard.model import load_hazard_model
 from optnav_cli.hazard.output import MappedFrame
 from optnav_cli.hazard.pads import CarriedPad
 from optnav_cli.hazard.registration import (
@@ -37,7 +38,6 @@ from optnav_cli.hazard.settings import HazardSettings
 log = logging.getLogger(__name__)
 
 MIN_POSTINGS = 28  # that a picture must show along a side: four windows of 14
-SHARED_POSTINGS = 0.1  # 1 sigma of what windows of a terrain model err by in common, a coordinate
 # How far the craft still reaches, over its height: squares of 200 m are the source's at 500 m.
 REACH = 0.2
 PASSES = 2  # of laying the picture on the ground anew by the refined pose
@@ -138,8 +138,10 @@ class Descent:
             return None
         margin = _measure_margin(view, pose, np.zeros((2, 2)), step_m)
         bright = draw_terrain(view, self._heights, step_m, margin, self._folder.body.radius_m)
-        covariance = (SHARED_POSTINGS * self._posting_m) ** 2 * np.eye(2)
-        return Reference(bright, *coarsen_view(view, step_m), step_m, margin, covariance, True)
+        numbers = load_hazard_model().registration
+        (east, north), covariance = numbers.compute_shift(view.sun, self._posting_m)
+        coarse = coarsen_view(view, step_m)
+        return Reference(bright, *coarse, step_m, margin, covariance, True, (east, north))
 
     def _sample_last(self, view: PictureOnGround, pose: UncertainPose) -> Reference | None:
         """Sample the ground of the frame before."""

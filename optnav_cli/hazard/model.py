@@ -7,6 +7,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
+from catalog.arrays import FloatArray
 from catalog.config import NotNegative, Positive, load_toml, resource
 from catalog.errors import ConfigError
 
@@ -57,6 +58,28 @@ class VarianceNumbers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     brightest: Positive
 
 
+class RegistrationNumbers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Errors of windows of a terrain model that all have in common, in its postings.
+
+    shared_postings   1 sigma a coordinate
+    sunward_postings  shift of windows away from the Sun at an elevation of 45 deg, which goes with
+                      its cotangent; also 1 sigma of that shift
+    """
+
+    shared_postings: Positive
+    sunward_postings: Positive
+
+    def compute_shift(self, sun: FloatArray, posting_m: float) -> tuple[FloatArray, FloatArray]:
+        """Compute the shift (2,) of windows on the map, m, and its covariance (2, 2).
+
+        sun  (3,) unit vector east, north, up
+        """
+        level = sun[:2] / max(float(sun[2]), math.sin(math.radians(3.0)))
+        shift = -self.sunward_postings * posting_m * level
+        shared_m2 = (self.shared_postings * posting_m) ** 2
+        return shift, np.outer(shift, shift) + shared_m2 * np.eye(2)
+
+
 class HazardModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Content of configs/models/hazard.toml."""
 
@@ -67,6 +90,7 @@ class HazardModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     flatness: NotNegative
     shading: ShadingNumbers
     variance: VarianceNumbers
+    registration: RegistrationNumbers
     prior_sigma_deg: NotNegative
     tilt_sigma_deg: Positive
 

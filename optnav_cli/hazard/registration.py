@@ -79,6 +79,7 @@ class Reference(NamedTuple):
     picture     (rows, cols) the view itself at step_m, with its mask `shown`
     covariance  (2, 2) of the reference's own place, m^2
     shared      whether the pose may rest on the same ground, so that window errors are shared, too
+    shift_m     (2,) that all windows are known to be off by
     """
 
     brightness: Float32Array
@@ -88,6 +89,7 @@ class Reference(NamedTuple):
     margin: int
     covariance: FloatArray
     shared: bool
+    shift_m: tuple[float, float] = (0.0, 0.0)
 
 
 def compute_place_jacobian(
@@ -269,10 +271,11 @@ def refine_pose(
         return None
     jacobian = _make_rows(view, at, matches.places_m)
     middle = _make_rows(view, at, np.zeros((1, 2)))[0]
+    shifts_m = matches.shifts_m - reference.shift_m
     before = np.zeros(PARAMETERS)
     before[:3] = given.pose.position_m - at.position_m
     before[3:6] = (given.pose.camera_from_body.inv() * at.camera_from_body).as_rotvec()
-    best: tuple[float, FloatArray, FloatArray] | None = None
+    best: tuple[float, _Solved] | None = None
     for share in SHARES:
         covariance = np.zeros((PARAMETERS, PARAMETERS))
         covariance[:7, :7] = given.covariance / share
@@ -280,15 +283,19 @@ def refine_pose(
         sigma = WINDOW_SIGMA * reference.step_m
         if reference.shared:
             sigma /= math.sqrt(1.0 - share)
-        solved = _solve(jacobian, matches.shifts_m, before, covariance, sigma)
+        solved = _solve(jacobian, shifts_m, before, covariance, sigma)
+        if solved is not None and reference.shared and solved.factor > 1.0:
+            # a model whose windows scatter more is off by more in common
+            covariance[7:, 7:] *= solved.factor
+            solved = _solve(jacobian, shifts_m, before, covariance, sigma)
         if solved is None:
             continue
-        placed = middle[:, :7] @ solved[1][:7, :7] @ middle[:, :7].T
+        placed = middle[:, :7] @ solved.covariance[:7, :7] @ middle[:, :7].T
         if best is None or float(np.trace(placed)) < best[0]:
-            best = float(np.trace(placed)), *solved
+            best = float(np.trace(placed)), solved
     if best is None:
         return None
-    _, change, covariance = best
+    change, covariance, _ = best[1]
     turn = Rotation.from_rotvec(change[3:6])
     moved = replace(
         at,
@@ -305,14 +312,22 @@ def _make_rows(view: PictureOnGround, at: KnownPose, places_m: FloatArray) -> Fl
     return np.concatenate([by_pose, shift], axis=2)
 
 
+class _Solved(NamedTuple):
+    """Parameters (9,), their covariance, and the windows' variance over the stated one."""
+
+    change: FloatArray
+    covariance: FloatArray
+    factor: float
+
+
 def _solve(
     jacobian: FloatArray,
     shifts_m: FloatArray,
     before: FloatArray,
     covariance: FloatArray,
     sigma_m: float,
-) -> tuple[FloatArray, FloatArray] | None:
-    """Solve for parameters (9,) and their covariance, robustly; None where windows disagree."""
+) -> _Solved | None:
+    """Solve for the parameters robustly; None where windows disagree."""
     prior = np.linalg.inv(covariance)
     weights: FloatArray = np.ones(len(shifts_m))
     change: FloatArray = np.zeros(PARAMETERS)
@@ -332,4 +347,4 @@ def _solve(
     factor = max(1.0, float(np.sum(weights * off**2)) / max(2.0 * good.sum() - 4.0, 1.0))
     used = (jacobian * weights[:, None, None]).reshape(-1, PARAMETERS)
     normal = prior + used.T @ jacobian.reshape(-1, PARAMETERS) / (factor * sigma_m**2)
-    return change, np.linalg.inv(normal)
+    return _Solved(change, np.linalg.inv(normal), factor)

@@ -36,6 +36,7 @@ class DescentCase(flights.Case):
     acceleration_m_s2: float = 0.0
     wrong: bool = False
     way: Way = Way.LONG
+    altimeter: bool = False
 
 
 CASES = (
@@ -45,6 +46,18 @@ CASES = (
     DescentCase("model wrong by 3 m rms, 6.5-2 km", 0.0, LOW_M, "15 / 25", wrong=True),
     DescentCase("118 m as the Moon differs, 20-6.5 km", LOW_M, 3e4, "20 / 25", way=Way.MOON),
     DescentCase("118 m as the Moon differs, 6.5-2 km", 0.0, LOW_M, "20 / 25", way=Way.MOON),
+    DescentCase(
+        "118 m as the Moon differs, altimeter, 20-6.5 km",
+        *(LOW_M, 3e4, "20 / 25"),
+        way=Way.MOON,
+        altimeter=True,
+    ),
+    DescentCase(
+        "118 m as the Moon differs, altimeter, 6.5-2 km",
+        *(0.0, LOW_M, "20 / 25"),
+        way=Way.MOON,
+        altimeter=True,
+    ),
     DescentCase("12 m, 20-2 km", 0.0, 3e4, "3 / 4", way=Way.FINE),
     DescentCase("track with 0.02 m/s², 20-6.5 km", LOW_M, 3e4, "6 / 8", ACCELERATION_M_S2),
     DescentCase("track with 0.02 m/s², 6.5-2 km", 0.0, LOW_M, "8 / 12", ACCELERATION_M_S2),
@@ -82,7 +95,7 @@ def run(
     chosen = flights.rows_named(ALONE if landmarks_only else CASES, rows)
     frames: dict[str, list[FlownFrame]] = {case.name: [] for case in chosen}
     seconds: list[float] = []
-    done: dict[tuple[int, int, float, bool, Way], list[FlownFrame]] = {}
+    done: dict[tuple[int, int, float, bool, Way, bool], list[FlownFrame]] = {}
     with progress.stage("fly", len(chosen) * grounds * tracks, "descent") as bar:
         for ground in range(first, first + grounds):
             for case in chosen:
@@ -93,12 +106,20 @@ def run(
                     output, pictures, progress, wrong=wrong, stated=stated
                 )
                 for track in range(tracks):
-                    key = ground, track, case.acceleration_m_s2, case.wrong, case.way
+                    key = (
+                        ground,
+                        track,
+                        case.acceleration_m_s2,
+                        case.wrong,
+                        case.way,
+                        case.altimeter,
+                    )
                     if key not in done:
                         seed, above = 100 * ground + track, LOW_M if case.way is Way.LOW else 0.0
                         done[key] = descent_flights.fly(
-                            pictures, catalog, seed, seconds, case.acceleration_m_s2, above
-                        )
+                            pictures, catalog, seed, seconds, case.acceleration_m_s2, above,
+                            ranges=case.altimeter,
+                        )  # fmt: skip
                     frames[case.name] += [
                         f for f in done[key] if case.lowest_m <= f.height_m < case.highest_m
                     ]

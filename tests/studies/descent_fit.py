@@ -5,7 +5,8 @@ error. The sizes in FILE are those under which all errors of the flights togethe
 the ground, the same in each frame that shows it, alike where windows share ground and, in a part,
 in all of a flight; and fresh ones. How wrong a flight's model is, is learned as the filter does. A
 prior holds sizes at the present ones where the flights say nothing. Fitted with the model of the
-truth, with one that is wrong, and with a 12 m model.
+truth, with one that is wrong, and with a 12 m model; what a stated error does, then, with ground
+that differs as the Moon does from a model that states its error.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,15 +37,14 @@ from optnav_cli.navigate.descent.state import (
     WindowGround,
     WindowSpread,
     compute_sunward_shift_px,
+    correlate_errors,
     load_descent_sizes,
     make_window_ground,
-    match_levels,
 )
 from optnav_cli.navigate.descent.windows import (
     WindowField,
     WindowKey,
     choose_windows,
-    compute_overlap,
     match_window,
 )
 from optnav_cli.navigate.inputs import open_ground
@@ -60,11 +60,10 @@ FITTED_WRONG, HELD_WRONG = 4, 5
 SEARCHED_M = 20.0  # 1 sigma of the true position, for the search
 MAX_FACTOR = 8.0
 MAX_SHARE = 0.9
-# No sizes of windows, or of windows over a model whose error is stated.
-KEPT = (
-    *("landmark_px", "landmark_shift", "landmark_height_postings", "altimeter_postings"),
-    *("stated_shift", "stated_height", "stated_region"),
-)
+# No sizes of windows.
+KEPT = "landmark_px", "landmark_shift", "landmark_height_postings", "altimeter_postings"
+# Of windows over a model that states its error: fitted with such flights, the others held.
+STATED = "stated_shift", "stated_height", "stated_width"
 SHARES = ("common", "fresh_share")
 BEGINNING = b"# How far a window of the terrain model"
 
@@ -73,7 +72,7 @@ BEGINNING = b"# How far a window of the terrain model"
 class FlightErrors:
     """Errors of the windows of a flight from its true poses.
 
-    grounds      (k) windows;  overlaps (k, k) correlation of their errors by common ground
+    grounds      (k) windows
     of_window    (n,) which of them each sighting is of
     missed_px    (n, 2) measured less predicted;  sunward_px (n, 2) by a unit of sunward_postings
     by_ground    (n, 2, 3) derivative of the pixel by the ground's place
@@ -83,13 +82,17 @@ class FlightErrors:
 
     case: str
     grounds: Sequence[WindowGround]
-    overlaps: FloatArray
     of_window: IndexArray
     missed_px: FloatArray
     sunward_px: FloatArray
     by_ground: FloatArray
     left_px2: FloatArray
     held_sunward: float | None = None
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether the terrain model states its error."""
+        return bool(self.grounds[0].stated.sigmas_m.any())
 
     def subset(self, kept: BoolArray) -> "FlightErrors":
         """Some of the sightings."""
@@ -115,15 +118,12 @@ class FlightErrors:
         missed = self.missed_px - sizes.sunward_postings * self.sunward_px
         scale = self.scale(sizes)
         errors = [ground.compute_error(sizes, scale) for ground in self.grounds]
-        common, own = (
-            (self.by_ground @ np.array(roots)[self.of_window]).reshape(-1, 3)
-            for roots in zip(*((error.common_m, error.own_m) for error in errors), strict=True)
-        )
-        ties = self.overlaps[np.ix_(self.of_window, self.of_window)]
-        keys = [ground.key for ground in self.grounds]
-        level = match_levels(keys, keys)[np.ix_(self.of_window, self.of_window)]
-        covariance = (common @ common.T) * np.kron(level, np.ones((2, 2)))
-        covariance += (own @ own.T) * np.kron(ties, np.ones((2, 2)))
+        count, rows = len(self.grounds), len(self.of_window)
+        ground_m2 = correlate_errors(errors, errors).reshape(count, 3, count, 3)
+        of_sightings = ground_m2[self.of_window][:, :, self.of_window]
+        covariance = np.einsum(
+            "iap,ipjq,jbq->iajb", self.by_ground, of_sightings, self.by_ground, optimize=True
+        ).reshape(2 * rows, 2 * rows)
         fresh = sizes.fresh_px**2 * np.eye(2) + scale * sizes.fresh_share * self.left_px2
         for k, own in enumerate(fresh):
             covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own
@@ -156,14 +156,20 @@ def run(
 def _gathered(
     folder: Path, grounds: Sequence[int], wrong: int, rows: str, progress: Progress
 ) -> list[FlightErrors]:
-    cases = {"118 m": (Way.LONG, 0), "118 m, wrong": (Way.LONG, wrong), "12 m": (Way.FINE, 0)}
+    cases = {
+        "118 m": (Way.LONG, 0),
+        "118 m, wrong": (Way.LONG, wrong),
+        "12 m": (Way.FINE, 0),
+        "118 m as the Moon differs": (Way.MOON, 0),
+    }
     found = []
     for ground in grounds:
         for case, (way, seed) in cases.items():
             name = f"{case}, ground {ground}"
             if rows in name:
                 pictures = pictures_of(folder, ground, way, progress)
-                catalog = catalog_of(folder, pictures, progress, wrong=seed)
+                stated = way is Way.MOON
+                catalog = catalog_of(folder, pictures, progress, wrong=seed, stated=stated)
                 found.append(gathered(name, pictures, catalog, progress))
     return found
 
@@ -210,12 +216,11 @@ def gathered(case: str, pictures: Path, catalog: Path, progress: Progress) -> Fl
     if not rows:
         raise NothingToDoError(f"{case}: no window was found")
     keys = list(grounds)
-    overlaps = np.array([[compute_overlap(one, other) for other in keys] for one in keys])
     numbers: IndexArray = np.array([keys.index(row[0]) for row in rows])
     parts = (np.array(part, np.float64) for part in list(zip(*rows, strict=True))[1:])
     missed, shifts, by_ground, left = parts
     known_grounds = list(grounds.values())
-    flight = FlightErrors(case, known_grounds, overlaps, numbers, missed, shifts, by_ground, left)
+    flight = FlightErrors(case, known_grounds, numbers, missed, shifts, by_ground, left)
     off, covariance = flight.errors(load_descent_sizes())
     each = off.reshape(-1, 2)
     count = len(each)
@@ -242,17 +247,32 @@ def scaled(sizes: DescentErrorSizes, factors: Mapping[str, float]) -> DescentErr
     return msgspec.structs.replace(sizes, **changed)
 
 
-def _names() -> list[str]:
-    """Of the sizes that windows tell of."""
-    return [name for name in DescentErrorSizes.__struct_fields__ if name not in KEPT]
+def split_flights(
+    flights: Sequence[FlightErrors],
+) -> list[tuple[list[FlightErrors], tuple[str, ...]]]:
+    """Flights in the order of their fits, each with the sizes that they tell of."""
+    of_windows = tuple(
+        name for name in DescentErrorSizes.__struct_fields__ if name not in (*KEPT, *STATED)
+    )
+    groups = ((False, of_windows), (True, STATED))
+    split = [([f for f in flights if f.is_stated == stated], names) for stated, names in groups]
+    return [(some, names) for some, names in split if some]
 
 
 def drops(
     flights: Sequence[FlightErrors], sizes: DescentErrorSizes
 ) -> dict[str, tuple[float, float]]:
     """By how much halving and doubling each size lowers the logarithm of the likelihood."""
-    held = _held(flights, sizes)
-    return likelihood.drops(lambda factors: log_likelihood(held, scaled(sizes, factors)), _names())
+    found: dict[str, tuple[float, float]] = {}
+    for some, names in split_flights(_held(flights, sizes)):
+        found |= likelihood.drops(_likelihood_by_factors(some, sizes), names)
+    return found
+
+
+def _likelihood_by_factors(
+    flights: Sequence[FlightErrors], sizes: DescentErrorSizes
+) -> likelihood.Likelihood:
+    return lambda factors: log_likelihood(flights, scaled(sizes, factors))
 
 
 def _held(flights: Sequence[FlightErrors], sizes: DescentErrorSizes) -> list[FlightErrors]:
@@ -265,11 +285,10 @@ def _held(flights: Sequence[FlightErrors], sizes: DescentErrorSizes) -> list[Fli
 
 def fitted(flights: Sequence[FlightErrors], sizes: DescentErrorSizes) -> DescentErrorSizes:
     """The likeliest sizes, of those on which the flights depend."""
-    held = _held(flights, sizes)
-    factors = likelihood.likeliest_factors(
-        lambda some: log_likelihood(held, scaled(sizes, some)), _names(), MAX_FACTOR
-    )
-    return scaled(sizes, factors)
+    for some, names in split_flights(_held(flights, sizes)):
+        likely = _likelihood_by_factors(some, sizes)
+        sizes = scaled(sizes, likelihood.likeliest_factors(likely, names, MAX_FACTOR))
+    return sizes
 
 
 def with_sizes(text: str, sizes: DescentErrorSizes) -> str:

@@ -31,7 +31,7 @@ from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.simulation import descent
 from optnav_cli.simulation.descent import Descent, track_errors
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.simulation.sections import MainCamera, TruthSettings
+from optnav_cli.simulation.sections import AltimeterSection, MainCamera, TruthSettings
 from tests.studies import flights
 
 CATALOG, MODEL = "tycho_descent", "tycho_gld100_256ppd.tif"
@@ -44,6 +44,7 @@ MOON_TRUTH = TruthSettings(
     model_error="gld100", albedo="fractal", phase_law="other", camera="drawn"
 )
 STATED = "gld100"
+RANGE_SIGMA_M = 1.0  # of its altimeter
 # Pixels of its camera along each of the wide one's: the model's error is the limit, not the pixel,
 # and pictures are drawn four times as fast.
 BINNED = 2
@@ -95,6 +96,9 @@ def scenario_of(ground: int, way: Way = Way.LONG) -> Descent:
         scenario,
         seed=seed,
         truth=MOON_TRUTH if way is Way.MOON else scenario.truth,
+        altimeter=AltimeterSection(sigma_m=RANGE_SIGMA_M)
+        if way is Way.MOON
+        else scenario.altimeter,
         descent=descent,
         sun=msgspec.structs.replace(scenario.sun, elevation_deg=sun),
         detail=msgspec.structs.replace(scenario.detail, seeds=(relief,)),
@@ -167,8 +171,13 @@ def fly(
     seconds: list[float],
     acceleration_m_s2: float = 0.0,
     windows_above_m: float = 0.0,
+    *,
+    ranges: bool = False,
 ) -> list[FlownFrame]:
-    """Fly pictures with a track of drawn errors; seconds gets those of the processor, a frame."""
+    """Fly pictures with a track of drawn errors; seconds gets those of the processor, a frame.
+
+    ranges  whether the altimeter's are used
+    """
     worker = FrameWorker(RunInputs(pictures, [catalog]))
     try:
         folder = worker.folder
@@ -185,6 +194,7 @@ def fly(
                 frame,
                 position_m=truth.position_m - places[k],
                 camera_from_body=Rotation.from_rotvec(turns[k]).inv() * truth.camera_from_body,
+                range_m=frame.range_m if ranges else None,
             )
             camera = folder.cameras[frame.camera]
             try:

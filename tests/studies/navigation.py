@@ -97,6 +97,15 @@ ROWS = (
         "farside",
         posting_m=HALF_474_M,
     ),
+    FlightCase(
+        "real, 1° cells of 948 m: shnk 50 km",
+        ("real_shnk_050km",),
+        1.0,
+        30.0,
+        30.0,
+        "mare",
+        (132.0, -28.0, 152.0, -8.0),
+    ),
     MARE,
     replace(
         MARE,

@@ -7,7 +7,7 @@ from catalog.arrays import FloatArray
 from catalog.config import read_toml_text, resource
 from catalog.geometry.latlon import body_from_local
 from optnav_cli.navigate.descent.state import FILE, WindowGround, load_descent_sizes
-from optnav_cli.navigate.descent.windows import STEP, WindowKey, compute_overlap
+from optnav_cli.navigate.descent.windows import STEP, WindowKey
 from tests.studies import descent_fit
 from tests.studies.descent_fit import FlightErrors
 
@@ -28,7 +28,7 @@ CALIBRATED = {
     "landmark_height_postings": 0.5,
     "stated_shift": 0.5,
     "stated_height": 1.0,
-    "stated_region": 0.5,
+    "stated_width": 0.63,
     "altimeter_postings": 0.06,
 }
 
@@ -51,7 +51,6 @@ def flight(rng: np.random.Generator, sizes: descent_fit.DescentErrorSizes) -> Fl
     shown = FlightErrors(
         "made",
         grounds,
-        np.array([[compute_overlap(a, b) for b in keys] for a in keys]),
         of_window,
         np.zeros((len(of_window), 2)),
         np.tile(rng.normal(0.0, 40.0, 2), (len(of_window), 1)),

@@ -243,11 +243,11 @@ class DescentNavigator:
         """Update what the picture gave by the altimeter's range, or say why not."""
         before, here = self._ranged_m, stated.position_m
         moved_m = np.inf if before is None else float(np.linalg.norm(here - before))
-        refused = update_by_range(made.state, windows, stated, ranged, moved_m)
+        state, refused = update_by_range(made.state, windows, stated, ranged, moved_m)
         if refused:
             return replace(made, remark=made.remark.add_sentence(refused))
         self._ranged_m = here
-        return made
+        return replace(made, state=state)
 
     def _is_carried(self, sought: Sequence[SoughtWindow], tracks: Sequence[SoughtLandmark]) -> bool:
         """Whether a frame that measures nothing is known from those before it.

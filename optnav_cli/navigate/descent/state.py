@@ -20,20 +20,23 @@ from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.geometry.rotations import ARCSEC
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
-from optnav_cli.control_points.field import NOT_STATED, StatedSigmas
+from optnav_cli.control_points.field import BAND_SIDES_M, NOT_STATED, StatedBands
 from optnav_cli.control_points.point_match import PointMatch
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.navigate.descent.filter import GATE, DescentFilter, TrackErrors, Update
 from optnav_cli.navigate.descent.windows import (
     SIDE,
+    STEP,
     Window,
     WindowField,
     WindowKey,
-    compute_overlap,
+    compute_overlaps,
 )
 
 FILE = "configs/models/descent.toml"
+# Side of the ground about an altimeter's beam, postings: no window has an odd one. Points kept.
+BEAM_SIDE, KEPT_BEAMS = SIDE - 1, 4
 Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
 # Scales that a descent may have, and how far from 1 one is before anything is known: the logarithm
 # of its sigma. The windows of a single frame say more.
@@ -58,7 +61,7 @@ class DescentErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     landmark_height_postings: Positive
     stated_shift: Positive
     stated_height: Positive
-    stated_region: Positive
+    stated_width: Positive
     altimeter_postings: Positive
 
 
@@ -69,16 +72,35 @@ def load_descent_sizes() -> DescentErrorSizes:
 
 
 @dataclass(frozen=True, eq=False)
+class StatedRoots:
+    """A window's error by the stated error of the terrain model, in bands of wavelength.
+
+    roots_m    (k, 3, 3) symmetric roots of covariances, m, body frame
+    lengths_m  (k,) along the ground, over which an error of a band stays alike, as a Gaussian
+    place_m    (3,) of the window
+    """
+
+    roots_m: FloatArray
+    lengths_m: FloatArray
+    place_m: FloatArray
+
+
+NO_ROOTS = StatedRoots(np.zeros((len(BAND_SIDES_M), 3, 3)), np.ones(len(BAND_SIDES_M)), np.zeros(3))
+
+
+@dataclass(frozen=True, eq=False)
 class WindowError:
     """Error of a window's ground as (3, 3) symmetric roots of covariances, m, body frame.
 
     common_m  of the covariance of what it has in common with all others of its level
     own_m     of that of the rest, which it shares as far as it shares ground
+    stated    of that by the stated error of the terrain model, which neighbours share
     """
 
     key: WindowKey
     common_m: FloatArray
     own_m: FloatArray
+    stated: StatedRoots = NO_ROOTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +111,7 @@ class WindowGround:
     left_m2   (2, 2) what its first match leaves over, as ground east and north
     pixel_m2  (2, 2) of a pixel's sigma along both axes there, the same way
     stated    errors by the stated error of the terrain model
+    place_m   (3,) of the window
     """
 
     key: WindowKey
@@ -96,7 +119,8 @@ class WindowGround:
     posting_m: float
     left_m2: FloatArray
     pixel_m2: FloatArray
-    stated: StatedSigmas = NOT_STATED
+    stated: StatedBands = NOT_STATED
+    place_m: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def compute_error(self, sizes: DescentErrorSizes, scale: float = 1.0) -> WindowError:
         """Compute its error; scale multiplies the match's remainder: see `WindowSpread`."""
@@ -104,19 +128,26 @@ class WindowGround:
         high = sizes.height_postings * self.posting_m
         common = sizes.common * np.diag([sigma_m**2, sigma_m**2, high**2])
         ground_m2 = (1.0 - sizes.common) * np.diag([sigma_m**2, sigma_m**2, high**2])
-        region = sizes.stated_region * self.stated.region_shift_m
-        common += np.diag([region, region, sizes.stated_height * self.stated.region_height_m]) ** 2
-        shift = sizes.stated_shift * self.stated.shift_m
-        ground_m2 += np.diag([shift, shift, sizes.stated_height * self.stated.height_m]) ** 2
         ground_m2[:2, :2] += scale * sizes.remainder * self.left_m2
         values, vectors = np.linalg.eigh(ground_m2)
         roots = np.sqrt(common), vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-        return WindowError(self.key, *(self.axes @ root @ self.axes.T for root in roots))
+        common_m, own_m = (self.axes @ root @ self.axes.T for root in roots)
+        return WindowError(self.key, common_m, own_m, self._compute_stated_roots(sizes))
+
+    def _compute_stated_roots(self, sizes: DescentErrorSizes) -> StatedRoots:
+        """Compute the roots of the stated error, band by band."""
+        bands = self.stated
+        shift, height = (bands.sigmas_m * [sizes.stated_shift, sizes.stated_height]).T
+        sigmas = np.stack([shift, shift, height], axis=1)
+        roots = np.einsum("ia,ka,ja->kij", self.axes, sigmas, self.axes)
+        return StatedRoots(roots, sizes.stated_width * bands.sides_m, self.place_m)
 
     def compute_level_m2(self, sizes: DescentErrorSizes) -> tuple[FloatArray, FloatArray]:
         """Compute (2, 2) of a match's error, east and north: constant and scaled part."""
         sigma_m = sizes.own_postings * SIDE / self.key.side * self.posting_m
-        sigma_m = float(np.hypot(sigma_m, sizes.stated_shift * self.stated.shift_m))
+        # the longest waves move all windows of a frame together
+        bands_m = sizes.stated_shift * self.stated.sigmas_m[:-1, 0]
+        sigma_m = float(np.hypot(sigma_m, np.linalg.norm(bands_m)))
         stays = sigma_m**2 * np.eye(2) + sizes.fresh_px**2 * self.pixel_m2
         return stays, (sizes.remainder + sizes.fresh_share) * self.left_m2
 
@@ -133,7 +164,8 @@ def make_window_ground(window: Window, match: PointMatch, by_position: FloatArra
         left = inverse @ match.covariance_px2 @ inverse.T
     size_m = window.key.side * window.posting_m
     stated = window.field.points.compute_stated_errors(window.place_m, size_m)
-    return WindowGround(window.key, axes, window.posting_m, left, inverse @ inverse.T, stated)
+    pixel_m2 = inverse @ inverse.T
+    return WindowGround(window.key, axes, window.posting_m, left, pixel_m2, stated, window.place_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,17 +241,20 @@ def match_levels(some: Sequence[WindowKey], others: Sequence[WindowKey]) -> Floa
 
 def correlate_errors(some: Sequence[WindowError], others: Sequence[WindowError]) -> FloatArray:
     """Compute the covariance (3 k, 3 n) of windows' errors with those of others, m^2."""
-    ties = np.empty((len(some), len(others)))
-    for i, error in enumerate(some):
-        for j, other in enumerate(others):
-            ties[i, j] = (
-                1.0 + 1e-6 if error.key == other.key else compute_overlap(error.key, other.key)
-            )
+    keys, other_keys = ([error.key for error in errors] for errors in (some, others))
+    ties = compute_overlaps(keys, other_keys)
+    ties += 1e-6 * np.array([[key == other for other in other_keys] for key in keys])
     common = (np.array([error.common_m for error in errors]) for errors in (some, others))
-    level = match_levels([error.key for error in some], [other.key for other in others])
-    blocks = np.einsum("ij,iab,jcb->iajc", level, *common)
-    left, right = (np.array([error.own_m for error in errors]) for errors in (some, others))
-    blocks = blocks + np.einsum("ij,iab,jcb->iajc", ties, left, right)
+    blocks = np.einsum("ij,iab,jcb->iajc", match_levels(keys, other_keys), *common)
+    own = (np.array([error.own_m for error in errors]) for errors in (some, others))
+    blocks = blocks + np.einsum("ij,iab,jcb->iajc", ties, *own)
+    stated = [[error.stated for error in errors] for errors in (some, others)]
+    places, other_places = (np.array([each.place_m for each in roots]) for roots in stated)
+    lengths = np.max([each.lengths_m for each in stated[0] + stated[1]], axis=0)
+    apart = np.linalg.norm(places[:, None] - other_places, axis=2)
+    ties = np.exp(-0.5 * np.square(apart / lengths[:, None, None]))
+    bands = (np.array([each.roots_m for each in roots]) for roots in stated)
+    blocks = blocks + np.einsum("kij,ikab,jkcb->iajc", ties, *bands, optimize=True)
     tied: FloatArray = blocks.reshape(3 * len(some), 3 * len(others))
     return tied
 
@@ -337,8 +372,10 @@ class JointState:
         return self.filter.update(camera, stated, numbers, points, shared, gate)
 
     def keep(self, kept: set[WindowKey | int]) -> None:
-        """Marginalise all ground points but some, and what windows have in common."""
+        """Marginalise all ground points but some, what windows share, and the last beams' ones."""
         kept = kept | {key for key in self._errors if is_common(key)}
+        beams = [key for key in self._errors if key.side == BEAM_SIDE]
+        kept |= set(beams[-KEPT_BEAMS:])
         self.filter.keep(np.array([key in kept for key in self.keys], dtype=bool))
         self.keys = [key for key in self.keys if key in kept]
         self._errors = {key: error for key, error in self._errors.items() if key in kept}
@@ -350,23 +387,22 @@ class JointState:
             fresh = fresh + scale * self.sizes.fresh_share * match.covariance_px2
         return fresh
 
-    def describe_ground(
-        self, windows: WindowField, place_m: FloatArray
-    ) -> tuple[FloatArray, float, float]:
-        """Describe how far one point of the model's ground (3,) may be from its height.
+    def join_beam(self, windows: WindowField, place_m: FloatArray) -> int:
+        """Return the number of the ground point that an altimeter's beam meets at a place (3,).
 
-        Returns a sigma of what all ground has in common, m along the radial direction (3,); one of
-        the point's own, m; and the side of the ground that shares it, m.
+        Its height errs as windows about it do. The last of such points stay, so that ranges to
+        neighbouring ground are not taken for independent ones.
         """
-        posting, sizes = windows.posting_m(0), self.sizes
-        stated = windows.points.compute_stated_errors(place_m, 0.0)
-        high = sizes.height_postings * posting
-        common = np.hypot(
-            np.sqrt(sizes.common) * high, sizes.stated_height * stated.region_height_m
-        )
-        parts = sizes.altimeter_postings * posting, sizes.stated_height * stated.height_m
-        width = windows.points.resolution_m(place_m) or posting
-        return unit(place_m) * common, float(np.hypot(*parts)), width
+        posting = windows.posting_m(0)
+        col, row = (round(float(v) / (STEP * posting)) for v in windows.map.xy_from_xyz(place_m))
+        key = WindowKey(0, BEAM_SIDE, row, col)
+        if key not in self.keys:
+            axes = body_from_local(*(float(v) for v in latlon_from_xyz(place_m)[:2]))
+            stated = windows.points.compute_stated_errors(place_m, 0.0)
+            none = np.zeros((2, 2))
+            ground = WindowGround(key, axes, posting, none, none, stated, place_m)
+            self.join_windows([ground.compute_error(self.sizes)], place_m[None])
+        return self.keys.index(key)
 
     def compute_sunward_px(
         self, window: Window, by_position: FloatArray, sun_body: FloatArray

@@ -387,13 +387,7 @@ def match_window(frame: FrameContext, pose: Pose, window: Window, sigma_px: floa
     posting = window.posting_m / OVERSAMPLED
     room = int(np.ceil(frame.settings.match.search_sigmas * sigma_px * sample / posting + 2.0))
     room, nodes = min(room, MAX_SEARCH_NODES), OVERSAMPLED * window.key.side
-    plan = SearchPlan(
-        0,
-        nodes,
-        room,
-        sample,
-        soft_nodes=SOFT_NODES,
-    )
+    plan = SearchPlan(0, nodes, room, sample, soft_nodes=SOFT_NODES)
     gates = MatchGates(compute_min_score(nodes, room), frame.settings.match.rival_ratio)
     args = window.reference, plan, frame.picture, frame.camera, pose, frame.sun_body
     return match_point(*args, frame.matcher, gates)
@@ -416,18 +410,19 @@ def compute_min_score(nodes: int, room: int) -> float:
     return min(MAX_SCORE, sigmas / float(np.sqrt(nodes**2 / sample)))
 
 
-def compute_overlap(first: WindowKey, second: WindowKey) -> float:
-    """Correlate two windows' errors: their common ground over the root of both areas."""
+def compute_overlaps(some: Sequence[WindowKey], others: Sequence[WindowKey]) -> FloatArray:
+    """Correlate windows' errors (k, n): their common ground over the root of both areas."""
+    first, second = (np.array(keys, np.int64).reshape(-1, 4).T for keys in (some, others))
     # in postings of the finer one: each level's is twice that of the one below
-    finer = min(first.level, second.level)
-    scales = 1 << (first.level - finer), 1 << (second.level - finer)
-    sides = first.side * scales[0], second.side * scales[1]
-    share = 1.0
-    for a, b in ((first.row, second.row), (first.col, second.col)):
-        apart = STEP * abs(a * scales[0] - b * scales[1])
-        common = min(0.5 * sum(sides) - apart, *sides)
-        share *= max(common, 0.0) / np.sqrt(sides[0] * sides[1])
-    return float(share)
+    finer = np.minimum.outer(first[0], second[0])
+    scale, other_scale = 2 ** (first[0][:, None] - finer), 2 ** (second[0] - finer)
+    side, other_side = scale * first[1][:, None], other_scale * second[1]
+    shares = np.ones(finer.shape)
+    for axis in (2, 3):
+        apart = STEP * np.abs(scale * first[axis][:, None] - other_scale * second[axis])
+        common = np.minimum(0.5 * (side + other_side) - apart, np.minimum(side, other_side))
+        shares *= np.maximum(common, 0.0) / np.sqrt(side * other_side)
+    return shares
 
 
 def _is_seen(frame: FrameContext, pose: Pose, window: Window) -> bool:

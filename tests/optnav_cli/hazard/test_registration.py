@@ -11,6 +11,7 @@ from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.picture import Picture
 from optnav_cli.hazard.ground_view import KnownPose, look_from
+from optnav_cli.hazard.model import load_hazard_model
 from optnav_cli.hazard.registration import (
     Reference,
     UncertainPose,
@@ -134,6 +135,36 @@ def test_a_reference_never_makes_a_place_surer_than_itself() -> None:
     assert refined is not None
     covariance = refined.compute_place_covariance(view, 0.0, 0.0)
     assert np.linalg.eigvalsh(covariance)[0] > 0.95
+
+
+@pytest.mark.parametrize("scatter_m", [0.0, 1.0])
+def test_windows_that_scatter_leave_their_reference_less_sure(scatter_m: float) -> None:
+    """And what all windows are known to be off by is taken off."""
+    view = view_from(POSE)
+    given = UncertainPose.make(POSE, 25.0 * np.eye(3), 0.0, 0.0)
+    places = 60.0 * np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
+    off = scatter_m * np.random.default_rng(3).standard_normal((9, 2))
+    reference = Reference(
+        np.zeros((9, 9), np.float32), np.zeros((9, 9), np.float32), np.ones((9, 9), bool), 1.0, 0,
+        0.04 * np.eye(2), True, (3.0, -2.0),
+    )  # fmt: skip
+    matches = WindowMatches(places, off - off.mean(axis=0) + [3.0, -2.0])
+    refined = refine_pose(given, POSE, view, matches, reference)
+    assert refined is not None
+    sigma = np.sqrt(np.trace(refined.compute_place_covariance(view, 0.0, 0.0)) / 2.0)
+    assert (0.2 < sigma < 0.3) if not scatter_m else sigma > 0.8
+    assert np.linalg.norm((refined.pose.position_m - POSE.position_m) @ LOCAL[:, :2]) < 0.5 * sigma
+
+
+def test_a_low_sun_shifts_all_windows_away_from_it() -> None:
+    numbers = load_hazard_model().registration
+    low, high = (np.array([np.cos(e), 0.0, np.sin(e)]) for e in np.radians([5.0, 60.0]))
+    shift, covariance = numbers.compute_shift(low, 20.0)
+    assert shift[0] == pytest.approx(-numbers.sunward_postings * 20.0 / np.tan(np.radians(5.0)))
+    assert shift[1] == 0.0
+    shared = (20.0 * numbers.shared_postings) ** 2
+    assert np.diag(covariance) == pytest.approx([shared + shift[0] ** 2, shared])
+    assert abs(numbers.compute_shift(high, 20.0)[0][0]) < 0.1
 
 
 def test_windows_of_other_ground_refine_nothing() -> None:

@@ -1,5 +1,6 @@
 """Windows in the joint state: how far they err alike, whatever order they join in."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,12 +9,14 @@ import pytest
 
 from catalog.arrays import FloatArray
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.control_points.field import StatedSigmas
+from optnav_cli.control_points.field import BAND_SIDES_M, StatedBands
 from optnav_cli.navigate.descent.filter import TRACK, TrackErrors
 from optnav_cli.navigate.descent.state import (
+    NO_ROOTS,
     JointState,
     WindowError,
     WindowGround,
+    correlate_errors,
     load_descent_sizes,
 )
 from optnav_cli.navigate.descent.windows import (
@@ -21,7 +24,7 @@ from optnav_cli.navigate.descent.windows import (
     SeenGround,
     WindowField,
     WindowKey,
-    compute_overlap,
+    compute_overlaps,
 )
 
 COMMON_SHARE = 0.15
@@ -42,15 +45,20 @@ def places(count: int) -> FloatArray:
 
 def test_windows_err_alike_as_far_as_they_share_ground() -> None:
     here = WindowKey(0, 24, 0, 0)
-    assert compute_overlap(here, here) == 1.0
-    assert compute_overlap(here, WindowKey(0, 24, 0, 24 // STEP)) == 0.0
-    assert compute_overlap(here, WindowKey(0, 24, 0, 12 // STEP)) == pytest.approx(0.5)
-    # a small window inside a large one: the root of its share
-    assert compute_overlap(here, WindowKey(0, 12, 0, 0)) == pytest.approx(0.5)
-    # of the next level, whose postings are twice as wide: a quarter of its ground is the first's
-    assert compute_overlap(here, WindowKey(1, 24, 0, 0)) == pytest.approx(0.5)
-    assert compute_overlap(WindowKey(1, 24, 0, 9), here) == 0.0
-    assert compute_overlap(WindowKey(1, 24, 0, 12), WindowKey(0, 24, 0, 24)) == pytest.approx(0.5)
+    expected = {
+        here: 1.0,
+        WindowKey(0, 24, 0, 24 // STEP): 0.0,
+        WindowKey(0, 24, 0, 12 // STEP): 0.5,
+        # a small window inside a large one: the root of its share
+        WindowKey(0, 12, 0, 0): 0.5,
+        # of the next level, whose postings are twice as wide: a quarter of its ground
+        WindowKey(1, 24, 0, 0): 0.5,
+        WindowKey(1, 24, 0, 9): 0.0,
+    }
+    assert compute_overlaps([here], list(expected))[0] == pytest.approx(list(expected.values()))
+    assert compute_overlaps(list(expected), [here])[:, 0] == pytest.approx(list(expected.values()))
+    far = WindowKey(1, 24, 0, 12), WindowKey(0, 24, 0, 24)
+    assert compute_overlaps([far[0]], [far[1]]) == pytest.approx(0.5)
 
 
 def choose(distance_m: float, resolution_m: float | None) -> tuple[int, int] | None:
@@ -76,19 +84,37 @@ def test_windows_over_a_model_of_coarse_resolution_are_wider(distance_m: float) 
         assert (coarse, wide) == (level, side)
 
 
+def stated_window(col: int, level: int = 0) -> WindowError:
+    """A window of ground whose stated error is the same in each band."""
+    bands = StatedBands(BAND_SIDES_M, np.tile([10.0, 4.0], (len(BAND_SIDES_M), 1)))
+    key, none = WindowKey(level, 24, 0, col), np.zeros((2, 2))
+    place = np.array([1.7374e6, STEP * 118.45 * 2.0**level * col, 0.0])
+    ground = WindowGround(key, np.eye(3), 118.45, none, np.eye(2), bands, place)
+    return ground.compute_error(load_descent_sizes())
+
+
 def test_what_a_model_states_widens_its_windows() -> None:
+    sizes, count = load_descent_sizes(), len(BAND_SIDES_M)
+    total = correlate_errors([stated_window(0)], [stated_window(0)])
+    plain = replace(stated_window(0), stated=NO_ROOTS)
+    gained = np.diag(total) - np.diag(correlate_errors([plain], [plain]))
+    shift, height = 100.0 * sizes.stated_shift**2, 16.0 * sizes.stated_height**2
+    assert gained == pytest.approx(count * np.array([shift, shift, height]), rel=1e-5)
+
+
+def test_neighbours_share_the_long_waves_of_a_stated_error() -> None:
+    """Also windows of other levels; ground 100 km away shares nothing but the level's own part."""
     sizes = load_descent_sizes()
-    axes, none = np.eye(3), np.zeros((2, 2))
-    key = WindowKey(0, 24, 0, 0)
-    plain = WindowGround(key, axes, 118.45, none, np.eye(2)).compute_error(sizes)
-    stated = StatedSigmas(100.0, 20.0, 24.0, 7.0)
-    error = WindowGround(key, axes, 118.45, none, np.eye(2), stated).compute_error(sizes)
-    gained = np.diag(error.own_m) ** 2 - np.diag(plain.own_m) ** 2
-    shift = (sizes.stated_shift * 100.0) ** 2
-    assert gained == pytest.approx([shift, shift, (sizes.stated_height * 20.0) ** 2])
-    shared = np.diag(error.common_m) ** 2 - np.diag(plain.common_m) ** 2
-    region = (sizes.stated_region * 24.0) ** 2
-    assert shared == pytest.approx([region, region, (sizes.stated_height * 7.0) ** 2])
+    here, near, coarse, far = (stated_window(*at) for at in ((0, 0), (12, 0), (6, 1), (212, 0)))
+    apart = STEP * 118.45 * 12.0
+    lengths = sizes.stated_width * BAND_SIDES_M
+    expected = 16.0 * sizes.stated_height**2 * np.exp(-0.5 * (apart / lengths) ** 2).sum()
+    bare = [replace(each, stated=NO_ROOTS) for each in (here, near, coarse, far)]
+    shared = [
+        (correlate_errors([here], [each]) - correlate_errors([bare[0]], [other]))[2, 2]
+        for each, other in zip((near, coarse, far), bare[1:], strict=True)
+    ]
+    assert shared == pytest.approx([expected, expected, 0.0], abs=1e-3)
 
 
 def test_the_order_in_which_windows_join_does_not_matter() -> None:
