@@ -7,8 +7,9 @@ points.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,31 +38,37 @@ class DescentCase(flights.Case):
     wrong: bool = False
     way: Way = Way.LONG
     altimeter: bool = False
+    windows_above_m: float = 0.0
+
+    @property
+    def flight(self) -> "DescentCase":
+        """The case without heights and name: cases of one flight are equal."""
+        return replace(self, name="", lowest_m=0.0, highest_m=0.0, wanted="")
 
 
+def _split(name: str, wanted: tuple[str, str], **flight: Any) -> list[DescentCase]:
+    """Rows of a flight above and below LOW_M."""
+    parts = (LOW_M, 3e4, "20-6.5 km"), (0.0, LOW_M, "6.5-2 km")
+    return [
+        DescentCase(f"{name}, {heights}", low, high, asked, **flight)
+        for (low, high, heights), asked in zip(parts, wanted, strict=True)
+    ]
+
+
+MOON, LIMIT = "118 m as the Moon differs", ("20 / 25", "20 / 25")
 CASES = (
-    DescentCase("118 m, 20-6.5 km", LOW_M, 3e4, "6 / 8"),
-    DescentCase("118 m, 6.5-2 km, absolute", 0.0, LOW_M, "8 / 12"),
-    DescentCase("model wrong by 3 m rms, 20-6.5 km", LOW_M, 3e4, "15 / 25", wrong=True),
-    DescentCase("model wrong by 3 m rms, 6.5-2 km", 0.0, LOW_M, "15 / 25", wrong=True),
-    DescentCase("118 m as the Moon differs, 20-6.5 km", LOW_M, 3e4, "20 / 25", way=Way.MOON),
-    DescentCase("118 m as the Moon differs, 6.5-2 km", 0.0, LOW_M, "20 / 25", way=Way.MOON),
-    DescentCase(
-        "118 m as the Moon differs, altimeter, 20-6.5 km",
-        *(LOW_M, 3e4, "20 / 25"),
-        way=Way.MOON,
-        altimeter=True,
-    ),
-    DescentCase(
-        "118 m as the Moon differs, altimeter, 6.5-2 km",
-        *(0.0, LOW_M, "20 / 25"),
-        way=Way.MOON,
-        altimeter=True,
-    ),
+    *_split("118 m", ("6 / 8", "8 / 12")),
+    *_split("model wrong by 3 m rms", ("15 / 25", "15 / 25"), wrong=True),
+    *_split(MOON, LIMIT, way=Way.MOON),
+    *_split(f"{MOON}, altimeter", LIMIT, way=Way.MOON, altimeter=True),
+    *_split(f"{MOON}, landmarks alone below 6.5 km", LIMIT, way=Way.MOON, windows_above_m=LOW_M),
+    *_split("474 m as the Moon differs", LIMIT, way=Way.SOUTH),
+    *_split("474 m as the Moon differs, altimeter", LIMIT, way=Way.SOUTH, altimeter=True),
     DescentCase("12 m, 20-2 km", 0.0, 3e4, "3 / 4", way=Way.FINE),
-    DescentCase("track with 0.02 m/s², 20-6.5 km", LOW_M, 3e4, "6 / 8", ACCELERATION_M_S2),
-    DescentCase("track with 0.02 m/s², 6.5-2 km", 0.0, LOW_M, "8 / 12", ACCELERATION_M_S2),
-    DescentCase("no windows below 6.5 km", 0.0, LOW_M, "40 at 2 km", way=Way.LOW),
+    *_split("track with 0.02 m/s²", ("6 / 8", "8 / 12"), acceleration_m_s2=ACCELERATION_M_S2),
+    DescentCase(
+        "no windows below 6.5 km", 0.0, LOW_M, "40 at 2 km", way=Way.LOW, windows_above_m=LOW_M
+    ),
 )
 ALONE = [case for case in CASES if case.way is Way.LOW]
 
@@ -95,30 +102,21 @@ def run(
     chosen = flights.rows_named(ALONE if landmarks_only else CASES, rows)
     frames: dict[str, list[FlownFrame]] = {case.name: [] for case in chosen}
     seconds: list[float] = []
-    done: dict[tuple[int, int, float, bool, Way, bool], list[FlownFrame]] = {}
+    done: dict[tuple[int, int, DescentCase], list[FlownFrame]] = {}
     with progress.stage("fly", len(chosen) * grounds * tracks, "descent") as bar:
         for ground in range(first, first + grounds):
             for case in chosen:
                 pictures = descent_flights.pictures_of(output, ground, case.way, progress)
                 wrong = WRONG_SEED if case.wrong else 0
-                stated = case.way is Way.MOON
                 catalog = descent_flights.catalog_of(
-                    output, pictures, progress, wrong=wrong, stated=stated
+                    output, pictures, case.way, progress, wrong=wrong
                 )
                 for track in range(tracks):
-                    key = (
-                        ground,
-                        track,
-                        case.acceleration_m_s2,
-                        case.wrong,
-                        case.way,
-                        case.altimeter,
-                    )
+                    key = ground, track, case.flight
                     if key not in done:
-                        seed, above = 100 * ground + track, LOW_M if case.way is Way.LOW else 0.0
                         done[key] = descent_flights.fly(
-                            pictures, catalog, seed, seconds, case.acceleration_m_s2, above,
-                            ranges=case.altimeter,
+                            pictures, catalog, 100 * ground + track, seconds,
+                            case.acceleration_m_s2, case.windows_above_m, ranges=case.altimeter,
                         )  # fmt: skip
                     frames[case.name] += [
                         f for f in done[key] if case.lowest_m <= f.height_m < case.highest_m

@@ -168,8 +168,7 @@ def _gathered(
             name = f"{case}, ground {ground}"
             if rows in name:
                 pictures = pictures_of(folder, ground, way, progress)
-                stated = way is Way.MOON
-                catalog = catalog_of(folder, pictures, progress, wrong=seed, stated=stated)
+                catalog = catalog_of(folder, pictures, way, progress, wrong=seed)
                 found.append(gathered(name, pictures, catalog, progress))
     return found
 

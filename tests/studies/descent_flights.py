@@ -20,6 +20,7 @@ from catalog.errors import DataError
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.progress import Progress
 from catalog.rasters import TERRAIN, handle_read_errors, open_raster
+from catalog.terrain.dem.source import DemSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, preset_camera
 from optnav_cli.fix import NoFix, Solution
@@ -53,6 +54,12 @@ WRONG_M = 3.0  # rms error of the wrong model
 FINE_CELL_DEG, FINE_PYRAMID = 0.03, "\n[pyramid]\nsize = 128\nlevels = 4\n"
 
 
+# The Luna-25 region at 70 S by its 474 m model: end of the path, deg east and north, and its Suns.
+SOUTH_MODEL, SOUTH_END_DEG = "shared:moon/boguslawsky_gld100_64ppd.tif", (36.0, -71.0)
+SOUTH_SUNS_DEG = ((5.0, 20.0), (8.0, 8.0), (12.0, 12.0), (16.0, 16.0), (20.0, 20.0))
+SOUTH_CELL_DEG = 0.8
+
+
 class Way(StrEnum):
     """Which way is flown; the names of picture folders begin with it."""
 
@@ -60,6 +67,12 @@ class Way(StrEnum):
     LOW = "low"
     FINE = "fine"  # over a 12 m model
     MOON = "moon"  # over ground that differs from its 118 m model as the Moon does from GLD100
+    SOUTH = "south"  # the same of a 474 m model
+
+    @property
+    def differs(self) -> bool:
+        """Whether the ground differs as the Moon does, with fewer pixels and an altimeter."""
+        return self in (Way.MOON, Way.SOUTH)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +105,16 @@ def scenario_of(ground: int, way: Way = Way.LONG) -> Descent:
             tilt_deg=(LOW_TILT_DEG, 0.0),
             spacing_s=LOW_SPACING_S,
         )
+    if way is Way.SOUTH:
+        sun = SOUTH_SUNS_DEG[ground % len(SOUTH_SUNS_DEG)]
+        descent = msgspec.structs.replace(descent, end_deg=SOUTH_END_DEG)
+        scenario = msgspec.structs.replace(scenario, dem=(DemSettings(path=SOUTH_MODEL),))
+    if way.differs:
+        altimeter = AltimeterSection(sigma_m=RANGE_SIGMA_M)
+        scenario = msgspec.structs.replace(scenario, truth=MOON_TRUTH, altimeter=altimeter)
     return msgspec.structs.replace(
         scenario,
         seed=seed,
-        truth=MOON_TRUTH if way is Way.MOON else scenario.truth,
-        altimeter=AltimeterSection(sigma_m=RANGE_SIGMA_M)
-        if way is Way.MOON
-        else scenario.altimeter,
         descent=descent,
         sun=msgspec.structs.replace(scenario.sun, elevation_deg=sun),
         detail=msgspec.structs.replace(scenario.detail, seeds=(relief,)),
@@ -108,7 +124,7 @@ def scenario_of(ground: int, way: Way = Way.LONG) -> Descent:
 def pictures_of(output: Path, ground: int, way: Way, progress: Progress) -> Path:
     """The pictures of a way over a ground, in a study's folder; made unless they are there."""
     place, scenario = output / "pictures" / f"{way}-{ground}", scenario_of(ground, way)
-    if way is Way.MOON:
+    if way.differs:
         camera = flights.text_file(output / "binned.toml", camera_toml(binned_camera()))
         scenario = msgspec.structs.replace(scenario, camera=MainCamera(str(camera)))
     return flights.made_pictures(scenario, place, progress)
@@ -129,29 +145,31 @@ def binned_camera() -> Camera:
 
 
 def catalog_of(
-    output: Path, pictures: Path, progress: Progress, *, wrong: int = 0, stated: bool = False
+    output: Path, pictures: Path, way: Way, progress: Progress, *, wrong: int = 0
 ) -> Path:
-    """The catalog that pictures are flown by; built unless it is there.
+    """The catalog that pictures of a way are flown by; built unless it is there.
 
-    stated  whether it states the model's error, as STATED
+    Of ground that differs it states the model's error, as STATED.
     wrong  seed of the errors of a wrong model; 0: the model of the truth
     """
     text = resource(f"configs/catalogs/{CATALOG}.toml").read_text(encoding="utf-8")
-    fine = pictures / descent.MODEL
-    if fine.is_file():
-        model = fine.relative_to(output).as_posix()
+    line, name = f'path = "bundled:{MODEL}"\n', "tycho"
+    if way is Way.FINE:
+        name = pictures.name
+        model = (pictures / descent.MODEL).relative_to(output).as_posix()
+        text = text.replace(line, f'path = "{model}"\n')
         text = text.replace("cell_deg = 0.2\n", f"cell_deg = {FINE_CELL_DEG}\n") + FINE_PYRAMID
-        config = output / f"{pictures.name}.toml"
     elif wrong:
-        model = write_wrong_model(output / f"wrong-{wrong}.tif", wrong).name
-        config = output / f"wrong-{wrong}.toml"
-    elif stated:
-        line = f'path = "bundled:{MODEL}"\n'
-        text = text.replace(line, f'{line}product = "{STATED}"\n')
-        return flights.built_catalog(output / "stated.toml", text, progress)
-    else:
-        return flights.built_catalog(output / "tycho.toml", text, progress)
-    return flights.built_catalog(config, text.replace(f"bundled:{MODEL}", model), progress)
+        name = f"wrong-{wrong}"
+        model = write_wrong_model(output / f"{name}.tif", wrong).name
+        text = text.replace(line, f'path = "{model}"\n')
+    elif way is Way.SOUTH:
+        name = "south"
+        text = text.replace(line, f'path = "{SOUTH_MODEL}"\nproduct = "{STATED}"\n')
+        text = text.replace("cell_deg = 0.2\n", f"cell_deg = {SOUTH_CELL_DEG}\n")
+    elif way is Way.MOON:
+        name, text = "stated", text.replace(line, f'{line}product = "{STATED}"\n')
+    return flights.built_catalog(output / f"{name}.toml", text, progress)
 
 
 def write_wrong_model(path: Path, seed: int) -> Path:

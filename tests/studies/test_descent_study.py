@@ -51,6 +51,10 @@ def test_each_ground_is_another_one() -> None:
     moon = scenario_of(0, Way.MOON)
     assert moon.world.model_error == "gld100"
     assert moon.descent == first.descent
+    south = scenario_of(0, Way.SOUTH)
+    assert south.altimeter is not None
+    assert south.dem[0].path.startswith("shared:")
+    assert south.descent.end_deg[1] == -71.0
 
 
 def test_a_binned_camera_sees_the_same_rays() -> None:
