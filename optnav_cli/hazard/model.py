@@ -62,20 +62,20 @@ class RegistrationNumbers(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     """Errors of windows of a terrain model that all have in common, in its postings.
 
     shared_postings   1 sigma a coordinate
-    sunward_postings  shift of windows away from the Sun at an elevation of 45 deg, which goes with
-                      its cotangent; also 1 sigma of that shift
+    sunward_postings  how far windows of a picture are found away from the Sun when it stands at
+                      45 deg, which goes with its cotangent; also 1 sigma of that
     """
 
     shared_postings: Positive
     sunward_postings: Positive
 
     def compute_shift(self, sun: FloatArray, posting_m: float) -> tuple[FloatArray, FloatArray]:
-        """Compute the shift (2,) of windows on the map, m, and its covariance (2, 2).
+        """Compute how far (2,) shifts to the model are off on the map, m, and its covariance.
 
         sun  (3,) unit vector east, north, up
         """
         level = sun[:2] / max(float(sun[2]), math.sin(math.radians(3.0)))
-        shift = -self.sunward_postings * posting_m * level
+        shift = self.sunward_postings * posting_m * level
         shared_m2 = (self.shared_postings * posting_m) ** 2
         return shift, np.outer(shift, shift) + shared_m2 * np.eye(2)
 

@@ -41,10 +41,12 @@ class UncertainPose:
 
     covariance  (7, 7) of position, m, of a turn about the body's axes, rad, and of the height of
                 the ground, m
+    local_m     1 sigma of single places beside it, a coordinate: relief that is not known
     """
 
     pose: KnownPose
     covariance: FloatArray
+    local_m: float = 0.0
 
     @classmethod
     def make(
@@ -61,7 +63,7 @@ class UncertainPose:
     def compute_place_covariance(self, view: PictureOnGround, x: float, y: float) -> FloatArray:
         """Compute the covariance (2, 2), m^2, x and y, of a place on the map of a view."""
         by_pose = compute_place_jacobian(view, self.pose, np.array([[x, y]]))[0]
-        placed: FloatArray = by_pose @ self.covariance @ by_pose.T
+        placed: FloatArray = by_pose @ self.covariance @ by_pose.T + self.local_m**2 * np.eye(2)
         return placed
 
 
@@ -295,14 +297,16 @@ def refine_pose(
             best = float(np.trace(placed)), solved
     if best is None:
         return None
-    change, covariance, _ = best[1]
+    change, covariance, factor = best[1]
     turn = Rotation.from_rotvec(change[3:6])
     moved = replace(
         at,
         position_m=at.position_m + change[:3],
         camera_from_body=at.camera_from_body * turn.inv(),
     )
-    return UncertainPose(moved, covariance[:7, :7])
+    # windows of a frame of about the same pixels scatter by what the relief below both moves them
+    local = given.local_m if reference.shared else WINDOW_SIGMA * reference.step_m * factor**0.5
+    return UncertainPose(moved, covariance[:7, :7], local)
 
 
 def _make_rows(view: PictureOnGround, at: KnownPose, places_m: FloatArray) -> FloatArray:

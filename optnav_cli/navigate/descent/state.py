@@ -401,7 +401,9 @@ class JointState:
             stated = windows.points.compute_stated_errors(place_m, 0.0)
             none = np.zeros((2, 2))
             ground = WindowGround(key, axes, posting, none, none, stated, place_m)
-            self.join_windows([ground.compute_error(self.sizes)], place_m[None])
+            # the ground's own height, not that of features by which a window is recognised
+            sizes = msgspec.structs.replace(self.sizes, stated_height=1.0)
+            self.join_windows([ground.compute_error(sizes)], place_m[None])
         return self.keys.index(key)
 
     def compute_sunward_px(

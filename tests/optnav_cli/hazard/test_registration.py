@@ -160,7 +160,7 @@ def test_a_low_sun_shifts_all_windows_away_from_it() -> None:
     numbers = load_hazard_model().registration
     low, high = (np.array([np.cos(e), 0.0, np.sin(e)]) for e in np.radians([5.0, 60.0]))
     shift, covariance = numbers.compute_shift(low, 20.0)
-    assert shift[0] == pytest.approx(-numbers.sunward_postings * 20.0 / np.tan(np.radians(5.0)))
+    assert shift[0] == pytest.approx(numbers.sunward_postings * 20.0 / np.tan(np.radians(5.0)))
     assert shift[1] == 0.0
     shared = (20.0 * numbers.shared_postings) ** 2
     assert np.diag(covariance) == pytest.approx([shared + shift[0] ** 2, shared])
