@@ -111,8 +111,7 @@ class Descent:
         self, picture: Picture, camera: Camera, given: UncertainPose
     ) -> tuple[PictureOnGround, UncertainPose]:
         """Lay a picture on the ground and refine its pose by all references that there are."""
-        heights: Heights | float = 0.0 if self._heights is None else self._heights
-        view = look_from(picture, camera, given.pose, heights)
+        view = look_from(picture, camera, given.pose, self._raise_ground(given))
         for make in (self._draw_terrain, self._sample_last):
             best = given
             for _ in range(PASSES):
@@ -121,13 +120,20 @@ class Descent:
                     break
                 reach = _measure_reach(view, given, reference.step_m)
                 matches = match_windows(view, reference, reach)
-                refined = refine_pose(given, best.pose, view, matches, reference)
+                refined = refine_pose(given, best, view, matches, reference)
                 if refined is None:
                     break
                 best = refined
-                view = look_from(picture, camera, best.pose, heights)
+                view = look_from(picture, camera, best.pose, self._raise_ground(best))
             given = best
         return view, given
+
+    def _raise_ground(self, pose: UncertainPose) -> Heights | float:
+        """Return the heights of the ground as a pose has found them."""
+        heights, raised_m = self._heights, pose.raised_m
+        if heights is None:
+            return raised_m
+        return lambda lat, lon: heights(lat, lon) + np.float32(raised_m)
 
     def _draw_terrain(self, view: PictureOnGround, pose: UncertainPose) -> Reference | None:
         """Draw the terrain model at half its postings; None where the picture shows too few."""

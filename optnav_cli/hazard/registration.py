@@ -42,11 +42,13 @@ class UncertainPose:
     covariance  (7, 7) of position, m, of a turn about the body's axes, rad, and of the height of
                 the ground, m
     local_m     1 sigma of single places beside it, a coordinate: relief that is not known
+    raised_m    how far the ground stands over its model
     """
 
     pose: KnownPose
     covariance: FloatArray
     local_m: float = 0.0
+    raised_m: float = 0.0
 
     @classmethod
     def make(
@@ -259,24 +261,25 @@ def _place_windows(size: int, wide: int) -> list[int]:
 
 def refine_pose(
     given: UncertainPose,
-    at: KnownPose,
+    at: UncertainPose,
     view: PictureOnGround,
     matches: WindowMatches,
     reference: Reference,
 ) -> UncertainPose | None:
-    """Refine a pose by matched windows of the view from `at`; None where too few of them agree.
+    """Refine a pose by matched windows of the view by `at`; None where too few of them agree.
 
     The share of information that is taken from the pose is the one under which the middle of the
     view is placed best.
     """
     if len(matches.places_m) < MIN_WINDOWS:
         return None
-    jacobian = _make_rows(view, at, matches.places_m)
-    middle = _make_rows(view, at, np.zeros((1, 2)))[0]
+    jacobian = _make_rows(view, at.pose, matches.places_m)
+    middle = _make_rows(view, at.pose, np.zeros((1, 2)))[0]
     shifts_m = matches.shifts_m - reference.shift_m
     before = np.zeros(PARAMETERS)
-    before[:3] = given.pose.position_m - at.position_m
-    before[3:6] = (given.pose.camera_from_body.inv() * at.camera_from_body).as_rotvec()
+    before[:3] = given.pose.position_m - at.pose.position_m
+    before[3:6] = (given.pose.camera_from_body.inv() * at.pose.camera_from_body).as_rotvec()
+    before[6] = given.raised_m - at.raised_m
     best: tuple[float, _Solved] | None = None
     for share in SHARES:
         covariance = np.zeros((PARAMETERS, PARAMETERS))
@@ -300,13 +303,13 @@ def refine_pose(
     change, covariance, factor = best[1]
     turn = Rotation.from_rotvec(change[3:6])
     moved = replace(
-        at,
-        position_m=at.position_m + change[:3],
-        camera_from_body=at.camera_from_body * turn.inv(),
+        at.pose,
+        position_m=at.pose.position_m + change[:3],
+        camera_from_body=at.pose.camera_from_body * turn.inv(),
     )
     # windows of a frame of about the same pixels scatter by what the relief below both moves them
     local = given.local_m if reference.shared else WINDOW_SIGMA * reference.step_m * factor**0.5
-    return UncertainPose(moved, covariance[:7, :7], local)
+    return UncertainPose(moved, covariance[:7, :7], local, at.raised_m + float(change[6]))
 
 
 def _make_rows(view: PictureOnGround, at: KnownPose, places_m: FloatArray) -> FloatArray:
