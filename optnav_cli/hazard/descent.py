@@ -118,7 +118,7 @@ class Descent:
                 reference = make(view, best)
                 if reference is None:
                     break
-                reach = _measure_reach(view, given, reference.step_m)
+                reach = _measure_reach(view, best, reference.step_m)
                 matches = match_windows(view, reference, reach)
                 refined = refine_pose(given, best, view, matches, reference)
                 if refined is None:
@@ -166,10 +166,11 @@ class Descent:
 def _measure_margin(
     view: PictureOnGround, pose: UncertainPose, covariance: FloatArray, step_m: float
 ) -> int:
-    """Measure the nodes that a view may be off its reference: 3 sigma and some nodes more."""
+    """Measure the nodes that a view may be off its reference, its corners further: 3 sigma."""
     total = pose.compute_place_covariance(view, 0.0, 0.0) + covariance
     widest = math.sqrt(float(np.linalg.eigvalsh(total)[-1]))
-    return min(math.ceil(3.0 * widest / step_m) + 6, MAX_REACH)
+    common = math.ceil(3.0 * widest / step_m) + 6
+    return min(common + _measure_reach(view, pose, step_m), MAX_REACH)
 
 
 def _measure_reach(view: PictureOnGround, pose: UncertainPose, step_m: float) -> int:

@@ -26,6 +26,7 @@ from optnav_cli.hazard.ground_view import Heights, KnownPose, PictureOnGround, a
 MIN_SCORE = 0.4  # correlation of a window; peaks of unrelated ground rarely reach it
 MIN_WINDOWS = 4  # two more unknown shifts than windows of a plane's shift and scale determine
 MIN_WIDE, MAX_WIDE = 14, 48  # nodes of a window: fewer hold too little ground to be told apart
+CORE_BORDERS = 1 / 6, 3 / 8  # left out of a picture whose middle gives the common shift
 MAX_ALONG = 7  # windows along each side of a picture
 MAX_REACH = 200  # nodes that the common shift is sought within
 WINDOW_SIGMA = 0.15  # nodes: 1 sigma of a matched window, a coordinate; measured scatter raises it
@@ -182,15 +183,17 @@ def match_windows(view: PictureOnGround, reference: Reference, reach: int) -> Wi
     """
     none = WindowMatches(np.empty((0, 2)), np.empty((0, 2)))
     picture, ground = _filter_high(reference.picture), _filter_high(reference.brightness)
+    margin = reference.margin
     known = np.isfinite(reference.brightness)
     rows, cols = picture.shape
-    core = [slice(size // 6, size - size // 6) for size in (rows, cols)]
-    margin = reference.margin
-    if min(rows, cols) < MIN_WIDE or reference.shown[core[0], core[1]].mean() < 0.9:
+    if min(rows, cols) < MIN_WIDE:
         return none
-    wider = tuple(slice(part.start, part.stop + 2 * margin) for part in core)
-    score = _correlate(ground[wider], picture[core[0], core[1]])
-    common = _find_peak(score)
+    common = None
+    for border in CORE_BORDERS:  # a wrong scale shifts the rim of a wide core by too much
+        core = [slice(round(border * size), round((1.0 - border) * size)) for size in (rows, cols)]
+        if common is None and reference.shown[core[0], core[1]].mean() >= 0.9:
+            wider = tuple(slice(part.start, part.stop + 2 * margin) for part in core)
+            common = _find_peak(_correlate(ground[wider], picture[core[0], core[1]]))
     if common is None:
         return none
     row0, col0 = round(common[0]) - margin, round(common[1]) - margin
