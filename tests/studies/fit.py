@@ -222,13 +222,12 @@ def log_likelihood(frames: Sequence[TrueFrame], sizes: PointErrorSizes) -> float
 
 def _log_likelihood(frame: TrueFrame, sizes: PointErrorSizes) -> float:
     missed, own, common = _errors(frame, sizes)
-    roots = np.linalg.cholesky(own)
+    roots, both = np.linalg.cholesky(own).reshape(missed.size, 2), common.reshape(missed.size, -1)
     shared = np.eye(len(missed))
     if frame.matched.correlation is not None:
         shared = SHARED * frame.matched.correlation + (1.0 - SHARED) * shared
-    covariance = np.einsum("nij,nm,mkj->nimk", roots, shared, roots, optimize=True)
-    covariance += np.einsum("nik,mjk->nimj", common, common, optimize=True)
-    factored = cho_factor(covariance.reshape(missed.size, -1), lower=True)
+    covariance = (roots @ roots.T) * shared.repeat(2, axis=0).repeat(2, axis=1) + both @ both.T
+    factored = cho_factor(covariance, lower=True, check_finite=False)
     determinant = 2.0 * float(np.log(np.diag(factored[0])).sum())
     return -0.5 * (float(missed.ravel() @ cho_solve(factored, missed.ravel())) + determinant)
 
