@@ -36,6 +36,9 @@ HEIGHT_M, PIXEL_M, POINTS, FRAMES = 400e3, 95.0, 16, 30
 # What differs from the shipped sizes: a point's own, and common to a frame.
 KNOWN = {"own.warped_m": 2.0, "sunward.unexplained_m": 4.0, "common.sunward_nodes": 2.5}
 LEAST_DROP = 2.0  # of the logarithm of the likelihood: seven times less likely
+# Frames are added until here: by chance one of 22,000 sequences of any length gives this drop to a
+# wrong size (Ville's inequality).
+AMPLE_DROP = 10.0
 # The sizes as they were last fitted and scored. Who fits them again writes the new ones here.
 CALIBRATED = {
     "own": "level_nodes 0.005 fixed_m 1 shadow_m 0.15 height_nodes 0.015 skipped_share 0.014 "
@@ -193,12 +196,13 @@ def test_a_shipped_size_of_half_or_twice_the_calibrated_one_is_seen(name):
     kinds: list[dict[str, Any]] = [{"hidden_m": 300.0}]
     if not name.startswith("hidden"):
         kinds += [{"stated_terrain": True}, {"levels": [1]}, {"right": 0.99}, {"right": 0.92}]
-    many = 40 if len(kinds) == 1 else 15
-    frames = [frame(rng, calibrated, noise_px, **kind) for kind in kinds for _ in range(many)]
-    half, whole, twice = (
-        fit.log_likelihood(frames, fit.scaled(shipped, {name: factor})) for factor in (0.5, 1, 2)
-    )
-    assert min(whole - half, whole - twice) > LEAST_DROP
+    factors = [fit.scaled(shipped, {name: factor}) for factor in (0.5, 1, 2)]
+    found, rounds = np.zeros(3), 0
+    while rounds < 40 and min(found[1] - found[[0, 2]]) < AMPLE_DROP:
+        frames = [frame(rng, calibrated, noise_px, **kind) for kind in kinds]
+        found += [fit.log_likelihood(frames, sizes) for sizes in factors]
+        rounds += 1
+    assert min(found[1] - found[[0, 2]]) > LEAST_DROP
 
 
 def test_a_file_with_other_sizes_loads_and_keeps_its_comments(tmp_path):
