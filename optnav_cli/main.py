@@ -6,6 +6,7 @@ output place; 4 nothing could be solved or selected; 5 a comparison differs or a
 """
 
 import errno
+import gc
 import os
 import signal
 import sys
@@ -182,6 +183,9 @@ def main(group: click.Group = cli, program: str = "optnav") -> NoReturn:
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGTERM, terminate)
+    # With Python's threshold of 700 objects, garbage collection took a tenth of a command's start
+    # and 8 % of the compilation of kernels. Commands make few reference cycles.
+    gc.set_threshold(100_000, 20, 100)
     install_safe_streams()
     sys.exit(complete() if COMPLETE in os.environ else run(sys.argv[1:], group, program))
 

@@ -244,6 +244,25 @@ def test_a_signal_ends_a_command_cleanly(number: signal.Signals) -> None:
     assert (process.returncode, out, err) == (130, "cleared\n", "optnav: interrupted\n")
 
 
+def test_a_command_rarely_searches_for_garbage() -> None:
+    """50,000 live lists cause no collection; Python's own threshold of 700 would cause dozens."""
+    script = (
+        "import gc, sys, click\n"
+        "from optnav_cli import main\n"
+        "def make():\n"
+        "    before = sum(part['collections'] for part in gc.get_stats())\n"
+        "    kept = [[] for _ in range(50_000)]\n"
+        "    print(len(kept), sum(part['collections'] for part in gc.get_stats()) - before)\n"
+        "main.cli.add_command(click.Command('make', callback=make))\n"
+        "sys.argv = ['optnav', 'make']\n"
+        "main.main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=CHECKOUT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "50000 0\n"
+
+
 def test_quiet_and_verbose_together_are_refused() -> None:
     result = optnav("--quiet", "--verbose", "build", "x.toml", "-o", "y")
     assert result.returncode == 2
