@@ -96,7 +96,7 @@ def load_model(path: Path) -> object:
     from optnav_cli.control_points.acceptance import AcceptanceLimits
     from optnav_cli.control_points.error_model import PointErrorSizes
     from optnav_cli.cylinder.geometry import CylinderErrorSizes
-    from optnav_cli.hazard.model import HazardModel
+    from optnav_cli.hazard.settings import HazardModel
     from optnav_cli.navigate.descent.state import DescentErrorSizes
     from optnav_cli.orbit.fit.motion import OrbitNoiseSizes
     from optnav_cli.orbit.fit.shared_errors import SharedErrorSizes

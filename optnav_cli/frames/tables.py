@@ -343,6 +343,16 @@ JUDGED_PADS = CsvTable(
     )
 )
 
+RISK_OF_PAD = (
+    number("expected_dangerous_share", "expected share above 7 deg", "", "z.5f"),
+    number("expected_critical_share", "expected share above 15 deg", "", "z.5f"),
+    number("shadow_share", "share in shadow", "", "z.5f"),
+    number("mean_slope_deg", "mean slope", "deg", "z.3f"),
+    number("prior_slope_deg", "mean slope by --slopes or --dem", "deg", "z.3f"),
+    count("n_rocks", "rocks on it; empty: not looked for", newer=True),
+    number("rock_share", "share within 1.5 m of rocks", "", "z.5f", newer=True),
+)
+
 PADS = CsvTable(
     (
         FILE,
@@ -351,17 +361,10 @@ PADS = CsvTable(
         *(number(f"{axis}_px", f"centre of the pad, {axis}", "px", "z.3f") for axis in "xy"),
         number("lat_deg", "planetocentric latitude", "deg", "z.9f"),
         number("lon_deg", "longitude, -180 to 180, east positive", "deg", "z.9f"),
-        number("expected_dangerous_share", "expected share above 7 deg", "", "z.5f"),
-        number("expected_critical_share", "expected share above 15 deg", "", "z.5f"),
-        number("shadow_share", "share in shadow", "", "z.5f"),
-        number("mean_slope_deg", "mean slope", "deg", "z.3f"),
-        number("prior_slope_deg", "mean slope by --slopes or --dem", "deg", "z.3f"),
+        *RISK_OF_PAD,
         *(
-            number(f"dir_camera_{i}", f"direction to the pad, camera frame, {i}", "", "z.9f")
-            for i in "xyz"
-        ),
-        *(
-            number(f"dir_body_{i}", f"direction to the pad, body frame, {i}", "", "z.9f")
+            number(f"dir_{frame}_{i}", f"direction to the pad, {frame} frame, {i}", "", "z.9f")
+            for frame in ("camera", "body")
             for i in "xyz"
         ),
         REASON,
@@ -382,12 +385,22 @@ CARRIED_PADS = CsvTable(
         number("correlation", "of east and north", "", "z.5f", empty=False),
         number("moved_m", "from its first place", "m", "z.3f", empty=False),
         *(number(f"{axis}_px", f"centre of the pad, {axis}", "px", "z.3f") for axis in "xy"),
-        number("expected_dangerous_share", "expected share above 7 deg", "", "z.5f"),
-        number("expected_critical_share", "expected share above 15 deg", "", "z.5f"),
-        number("shadow_share", "share in shadow", "", "z.5f"),
-        number("mean_slope_deg", "mean slope", "deg", "z.3f"),
-        number("prior_slope_deg", "mean slope by --slopes or --dem", "deg", "z.3f"),
+        *RISK_OF_PAD,
         text("status", "carried or given_up"),
+        REASON,
+    )
+)
+
+ROCKS = CsvTable(
+    (
+        FILE,
+        *(number(f"{axis}_px", f"its foot in the picture, {axis}", "px", "z.3f") for axis in "xy"),
+        number("lat_deg", "planetocentric latitude", "deg", "z.9f"),
+        number("lon_deg", "longitude, -180 to 180, east positive", "deg", "z.9f"),
+        number("diameter_m", "diameter across the Sun", "m", "z.3f"),
+        number("height_m", "height by its shadow", "m", "z.3f"),
+        number("height_sigma_m", "1 sigma of the height", "m", "z.3f"),
+        number("chance", "probability that it is a rock", "", "z.4f"),
         REASON,
     )
 )

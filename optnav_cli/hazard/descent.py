@@ -7,6 +7,7 @@ windows of the frame before. Pads are followed to nearer frames with the covaria
 
 import logging
 import math
+from functools import partial
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from optnav_cli.frames.folder import Folder
 from optnav_cli.frames.picture import Picture, load_frame_picture
 from optnav_cli.hazard.ground_view import Heights, KnownPose, PictureOnGround, look_from
 from optnav_cli.hazard.hazard_map import HazardMap, PriorSlopes, map_hazard
-from optnav_cli.hazard.model import load_hazard_model
 from optnav_cli.hazard.output import MappedFrame
 from optnav_cli.hazard.pads import CarriedPad
 from optnav_cli.hazard.registration import (
@@ -33,7 +33,7 @@ from optnav_cli.hazard.registration import (
     refine_pose,
     sample_ground,
 )
-from optnav_cli.hazard.settings import HazardSettings
+from optnav_cli.hazard.settings import HazardSettings, load_hazard_model
 
 log = logging.getLogger(__name__)
 
@@ -89,7 +89,9 @@ class Descent:
         given = UncertainPose.make(pose, fix.covariance_m2, sigma or 0.0, ground_m)
         view, refined = self._refine(frame.picture, camera, given)
         earlier = None if self._last is None else self._last[0]
-        frame.mapped = map_hazard(view, self._settings, self._prior, earlier)
+        heights: Heights | float = 0.0 if self._heights is None else self._heights
+        look = partial(look_from, frame.picture, camera, refined.pose, heights)
+        frame.mapped = map_hazard(view, self._settings, self._prior, earlier, look)
         self.pads = carry_pads(
             self.pads, frame.file, frame.mapped, refined, self._settings, self._heights
         )

@@ -68,6 +68,15 @@ class PictureOnGround:
         return _compute_elevation_deg(self.sun)
 
     @property
+    def pixel_m(self) -> float:
+        """Side of a pixel of the picture on the ground at the middle, m."""
+        middle = np.array(self.lattice_px.shape[1:]) // 2
+        i, j = (max(1, int(at)) for at in middle)
+        step = self.lattice_px[:, i, j] - self.lattice_px[:, i, j - 1]
+        across = float(np.linalg.norm(step)) / LATTICE  # pixels of a cell
+        return self.cell_m / across if across > 0.0 else self.cell_m
+
+    @property
     def sun_azimuth(self) -> float:
         """Azimuth of the Sun, rad, clockwise from against the rows (north on a map)."""
         return math.atan2(self.sun[0], self.sun[1])
@@ -93,11 +102,17 @@ class PictureOnGround:
 
 
 def look_down(
-    picture: Picture, camera: Camera, height_m: float, sun_elevation_deg: float, azimuth_deg: float
+    picture: Picture,
+    camera: Camera,
+    height_m: float,
+    sun_elevation_deg: float,
+    azimuth_deg: float,
+    cell_m: float = CELL_M,
 ) -> PictureOnGround:
     """Map the view of a camera that looks straight down on level ground.
 
     azimuth_deg  of the Sun, clockwise from the picture's upper edge
+    cell_m       wanted side of a cell; it is a whole number of pixels
     Raises NoSolutionError with the reason why nothing can be told from such a picture.
     """
     e, a = math.radians(sun_elevation_deg), math.radians(azimuth_deg)
@@ -116,6 +131,7 @@ def look_down(
         height_m * camera.angular_resolution,
         sun,
         np.array([-middle[0], -middle[1], height_m]),
+        cell_m,
     )
 
 
@@ -134,12 +150,17 @@ class KnownPose:
 
 
 def look_from(
-    picture: Picture, camera: Camera, pose: KnownPose, heights: Heights | float
+    picture: Picture,
+    camera: Camera,
+    pose: KnownPose,
+    heights: Heights | float,
+    cell_m: float = CELL_M,
 ) -> PictureOnGround:
     """Map the view of a camera whose pose is known.
 
     heights  of the ground above the sphere, m, by latitudes and longitudes; NaN where not known. Or
              one height for all of it
+    cell_m   wanted side of a cell; it is a whole number of pixels
     Raises NoSolutionError with the reason why nothing can be told from such a picture.
     """
     position, axes = pose.position_m, pose.camera_from_body.as_matrix()
@@ -171,6 +192,7 @@ def look_from(
         slanted * camera.angular_resolution,
         pose.sun_body @ local,
         (position - foot) @ local,
+        cell_m,
     )
 
 
@@ -232,11 +254,11 @@ def _find_middle(
 
 
 def _sample_ground(
-    laying: _GroundSampling, gsd_m: float, sun: FloatArray, camera_m: FloatArray
+    laying: _GroundSampling, gsd_m: float, sun: FloatArray, camera_m: FloatArray, cell_m: float
 ) -> PictureOnGround:
     """Sample the picture at cells; pixels are averaged to about a cell before."""
     _check_sun(sun)
-    binned = max(1, round(CELL_M / gsd_m))
+    binned = max(1, round(cell_m / gsd_m))
     cell = gsd_m * binned
     width, height = np.ptp(laying.border_m, axis=0) / cell
     rows, cols = int(height + 1e-6), int(width + 1e-6)

@@ -8,7 +8,8 @@ errors, so that the slope becomes the prior's; what is finer is shading's.
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
@@ -26,17 +27,18 @@ from catalog.terrain.dem.source import DemSource
 from catalog.terrain.dem.validity import Validity
 from catalog.terrain.slopes import BASE_M, DANGEROUS_DEG, summarise_slopes
 from optnav_cli.hazard.ground_view import PictureOnGround, average_boxes
-from optnav_cli.hazard.model import HazardModel, load_hazard_model
 from optnav_cli.hazard.pads import (
     Pad,
     RiskMap,
     add_refusals,
+    add_rocks,
     choose_pads,
     map_variance,
     rate_slopes,
 )
 from optnav_cli.hazard.registration import sample_ground
-from optnav_cli.hazard.settings import HazardSettings
+from optnav_cli.hazard.rocks import RockSurvey, survey_rocks
+from optnav_cli.hazard.settings import HazardModel, HazardSettings, load_hazard_model
 from optnav_cli.hazard.shading import (
     ShadedSlopes,
     compute_width_m,
@@ -174,6 +176,7 @@ class HazardMap:
 
     slopes   None by the method of variance
     width_m  of the widest picture that the slopes are from
+    survey   of the rocks
     """
 
     view: PictureOnGround
@@ -181,6 +184,7 @@ class HazardMap:
     pads: list[Pad]
     slopes: ShadedSlopes | None
     width_m: float = 0.0
+    survey: RockSurvey = field(default_factory=RockSurvey)
 
     @property
     def found(self) -> int:
@@ -202,10 +206,12 @@ def map_hazard(
     settings: HazardSettings,
     prior: PriorSlopes | None = None,
     earlier: HazardMap | None = None,
+    look: Callable[[float], PictureOnGround] | None = None,
 ) -> HazardMap:
     """Map the risk of a view and choose its pads.
 
     earlier  map of an earlier frame of a descent whose slopes are combined with the view's
+    look     makes the view in cells of another size, m, for rocks; None: these are not looked for
 
     Raises NoSolutionError with the reason why there is no map, DataError for a prior that does not
     overlap it.
@@ -228,17 +234,19 @@ def map_hazard(
         risk = rate_slopes(view, slopes, settings.pad_m, model)
     if before is not None:
         risk = _refuse_by_prior(risk, before, model)
-    return HazardMap(view, risk, choose_pads(view, risk, settings.square_m), slopes, width_m)
+    survey = RockSurvey((), "no rocks looked for")
+    if look is not None:
+        survey = survey_rocks(view, look, settings, model)
+    if not survey.reason:
+        risk = add_rocks(risk, view, *survey.mark_cells(view))
+    pads = choose_pads(view, risk, settings.square_m)
+    return HazardMap(view, risk, pads, slopes, width_m, survey)
 
 
 def _refuse_by_prior(risk: RiskMap, prior_deg: Float32Array, model: HazardModel) -> RiskMap:
     """Refuse pads whose prior slope is too steep, and add the prior slopes of all pads."""
     means, steep = find_too_steep(prior_deg, risk.cells, model)
-    rows, cols = (
-        np.minimum(np.rint(risk.origin + risk.step * np.arange(size)).astype(int), limit - 1)
-        for size, limit in zip(risk.score.shape, prior_deg.shape)
-    )
-    at_pads = np.ix_(rows, cols)
+    at_pads = risk.find_middles(prior_deg.shape)
     known = add_refusals(risk, {"too steep by --slopes": steep[at_pads] > 0})
     shares = {**risk.shares, "prior_slope_deg": means[at_pads]}
     return replace(known, shares=shares)

@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -150,8 +151,10 @@ def map_picture(
     for remark in image.remarks:
         log.warning("%s", remark)
     try:
-        view = look_down(image, camera, light.height_m, light.elevation_deg, light.azimuth_deg)
-        frame.mapped = map_hazard(view, settings)
+        look = partial(
+            look_down, image, camera, light.height_m, light.elevation_deg, light.azimuth_deg
+        )
+        frame.mapped = map_hazard(look(), settings, look=look)
     except NoSolutionError as error:
         frame.reason = str(error)
     with output_folder(output, KIND, "hazard", [picture, camera_file], "hazard") as out:
@@ -307,7 +310,8 @@ def _map_pose(
     heights: Heights | float = 0.0 if ground is None else ground
     if ground is None and inputs.height_m is not None:
         heights = above - inputs.height_m
-    view = look_from(picture, camera, pose, heights)
+    look = partial(look_from, picture, camera, pose, heights)
+    view = look()
     if ground is not None and inputs.height_m is not None:
         height_m = float(view.camera_m[2])
         # --height-m may differ by 20 % from the height of a pose over a terrain model.
@@ -317,7 +321,7 @@ def _map_pose(
                 f"camera is {height_m:.6g} m high; leave --height-m out, or mend the pose",
                 "height",
             )
-    return map_hazard(view, inputs.settings, prior)
+    return map_hazard(view, inputs.settings, prior, look=look)
 
 
 def _open_ground(
@@ -369,6 +373,7 @@ def _count_results(frames: list[MappedFrame]) -> dict[str, Any]:
         "mapped": len(mapped),
         "squares": sum(summary.squares for summary in mapped),
         "pads": sum(summary.found for summary in mapped),
+        "rocks": sum(summary.rocks for summary in mapped),
     }
 
 

@@ -2,8 +2,8 @@
 
 import base64
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -34,9 +34,10 @@ from catalog.terrain.slopes import convert_to_degrees
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
-from optnav_cli.frames.tables import CARRIED_PADS, PADS
+from optnav_cli.frames.tables import CARRIED_PADS, PADS, ROCKS
 from optnav_cli.hazard.hazard_map import HazardMap
 from optnav_cli.hazard.pads import REFUSED, CarriedPad, Pad
+from optnav_cli.hazard.rocks import ROCKS_FILE, find_cell
 from optnav_cli.hazard.settings import CARRIED_FILE, LAYER_FILE, PADS_FILE, HazardSettings
 from optnav_cli.output import foxglove
 from optnav_cli.output.canvas import Canvas, encode_picture, scale_to_eight_bits, shade_picture
@@ -51,12 +52,23 @@ PADS_LAYER = FeatureLayer(
         *("sigma_east_m DOUBLE", "sigma_north_m DOUBLE", "correlation DOUBLE", "moved_m DOUBLE"),
         *("expected_dangerous_share DOUBLE", "expected_critical_share DOUBLE"),
         *("shadow_share DOUBLE", "mean_slope_deg DOUBLE", "prior_slope_deg DOUBLE"),
-        *("status TEXT NOT NULL", "reason TEXT NOT NULL"),
+        *("n_rocks INTEGER", "rock_share DOUBLE", "status TEXT NOT NULL", "reason TEXT NOT NULL"),
     ),
     format_style(
         Rule("carried", "\"status\" = 'carried'", "circle", GREEN, 2.4),
         Rule("given up", "ELSE", "cross2", RED, 2.0),
     ),
+)
+
+ROCKS_LAYER = FeatureLayer(
+    "rocks",
+    "POINT",
+    "Rocks with their heights by shadows",
+    (
+        *("file TEXT NOT NULL", "diameter_m DOUBLE", "height_m DOUBLE"),
+        *("height_sigma_m DOUBLE", "chance DOUBLE"),
+    ),
+    format_style(Rule("rock", "ELSE", "circle", RED, 1.6)),
 )
 
 
@@ -66,6 +78,7 @@ class MapSummary:
 
     squares: int
     found: int
+    rocks: int
     first_reason: str
 
 
@@ -89,8 +102,9 @@ class MappedFrame:
         """Counts of squares and pads; None where there is no map."""
         if self.mapped is None:
             return self.kept
-        reasons = [pad.reason for pad in self.mapped.pads if pad.cell is None]
-        return MapSummary(len(self.mapped.pads), self.mapped.found, reasons[0] if reasons else "")
+        mapped = self.mapped
+        reason = next((pad.reason for pad in mapped.pads if pad.cell is None), "")
+        return MapSummary(len(mapped.pads), mapped.found, len(mapped.survey.rocks), reason)
 
     def drop_pixels(self) -> "MappedFrame":
         """Return a copy without pixels, for a list of many frames."""
@@ -109,6 +123,7 @@ class HazardOutput:
     ) -> None:
         self._folder, self._body, self._settings, self._many = folder, body, settings, many
         self._rows: list[dict[str, object]] = []
+        self._rocks: list[dict[str, object]] = []
         self._log = MessageLog(folder / "hazard.mcap", {"made_by": "optnav hazard"})
 
     def __enter__(self) -> Self:
@@ -122,8 +137,14 @@ class HazardOutput:
         trace: TracebackType | None,
     ) -> None:
         self._log.__exit__(kind, error, trace)
-        if kind is None:
-            PADS.write(self._folder / PADS_FILE, self._rows)
+        if kind is not None:
+            return
+        PADS.write(self._folder / PADS_FILE, self._rows)
+        ROCKS.write(self._folder / ROCKS_FILE, self._rocks)
+        placed = [row for row in self._rocks if "lat_deg" in row]
+        if self._body is not None and placed:
+            path = (self._folder / ROCKS_FILE).with_suffix(".gpkg")
+            write_layer(path, ROCKS_LAYER, placed, self._body)
 
     def add(self, frame: MappedFrame) -> None:
         """Write one frame's map or reason."""
@@ -138,6 +159,7 @@ class HazardOutput:
             (folder / "risk.png").write_bytes(risk)
             (folder / "hazard.png").write_bytes(encode_picture(draw_overview(frame.mapped), ".png"))
             self._rows += [_make_row(frame, pad) for pad in frame.mapped.pads]
+            self._rocks += _make_rock_rows(frame.file, frame.mapped)
             self._record(frame, risk)
 
     def add_carried(self, pads: Sequence[CarriedPad]) -> None:
@@ -145,7 +167,7 @@ class HazardOutput:
         rows = [_make_carried_row(pad, self._body) for pad in pads]
         CARRIED_PADS.write(self._folder / CARRIED_FILE, rows)
         if self._body is not None:
-            write_layer(self._folder / LAYER_FILE, rows, self._body)
+            write_layer(self._folder / LAYER_FILE, PADS_LAYER, rows, self._body)
 
     def _write_rasters(self, folder: Path, mapped: HazardMap) -> None:
         risk, view = mapped.risk, mapped.view
@@ -244,20 +266,35 @@ def _make_carried_row(pad: CarriedPad, body: Body | None) -> dict[str, object]:
     }
 
 
-def write_layer(path: Path, rows: Sequence[Mapping[str, object]], body: Body) -> None:
-    """Write carried pads as a GeoPackage, points with the columns of carried_pads.csv."""
+def _make_rock_rows(file: str, mapped: HazardMap) -> Iterator[dict[str, object]]:
+    """Make the rows of rocks.csv of a frame; one with the reason where none were looked for."""
+    if mapped.survey.reason:
+        yield {"file": file, "reason": mapped.survey.reason}
+    for rock in mapped.survey.rocks:
+        x, y = mapped.view.find_pixel(*find_cell(rock, mapped.view))
+        cells = {"file": file, "x_px": x, "y_px": y, **asdict(rock)}
+        if mapped.view.projection is not None:
+            lat, lon = mapped.view.projection.latlon(np.array(rock.x_m), np.array(rock.y_m))
+            cells |= {"lat_deg": math.degrees(float(lat)), "lon_deg": math.degrees(float(lon))}
+        yield cells
+
+
+def write_layer(
+    path: Path, layer: FeatureLayer, rows: Sequence[Mapping[str, object]], body: Body
+) -> None:
+    """Write rows of a table as a layer of points, with its columns, to a new GeoPackage."""
     system = define_srs(body.name, body.radius_m)
-    names = PADS_LAYER.names[2:]
+    names = layer.names[2:]
     features: list[Feature] = []
-    for row in rows:
+    for number, row in enumerate(rows, 1):
         lon, lat = float(str(row["lon_deg"])), float(str(row["lat_deg"]))
         geometry = encode_point(lon, lat, system[0])
-        cells = (row["id"], geometry, *(row.get(name) for name in names))
+        cells = (row.get("id", number), geometry, *(row.get(name) for name in names))
         features.append((cells, (lon, lat, lon, lat)))
     with open_new_geopackage(path) as db:
         describe_geopackage(db, body.name, body.radius_m, UNDATED)
-        PADS_LAYER.create(db)
-        PADS_LAYER.register(db, system[0], PADS_LAYER.fill(db, features), UNDATED)
+        layer.create(db)
+        layer.register(db, system[0], layer.fill(db, features), UNDATED)
 
 
 def _split_vector(name: str, vector: FloatArray) -> dict[str, float]:
@@ -308,7 +345,7 @@ def _draw_circles(mapped: HazardMap, factor: float) -> dict[str, Any]:
 
 GAP_PX, TITLE_PX = 8, 22
 MAX_SLOPE_DEG = 20.0  # the brightest of the colours
-TEXT_COLOUR = (235, 235, 235)
+TEXT_COLOUR, ROCK_COLOUR = (235, 235, 235), (40, 140, 255)
 REFUSED_COLOUR, OUTSIDE_COLOUR = (60, 40, 50), (24, 24, 24)
 # A safe pad is green, a dangerous one red: stops of a scale, BGR, and readable in gray as well
 SCALE = np.array([[80, 170, 60], [90, 210, 190], [70, 190, 245], [50, 100, 235], [60, 20, 140]])
@@ -350,7 +387,7 @@ def draw_overview(mapped: HazardMap) -> ByteArray:
     panels = [
         ("picture on the ground", _scale(gray, factor)),
         ("risk: green 0, red 0.6; dark refused", _scale(_draw_risk_cells(mapped), factor)),
-        ("pads", _mark_pads(mapped, _scale(gray, factor), factor)),
+        ("pads; orange: rocks", _mark_pads(mapped, _scale(gray, factor), factor)),
     ]
     if mapped.slopes is not None:
         degrees = convert_to_degrees(np.stack([mapped.slopes.toward, mapped.slopes.across]))
@@ -394,7 +431,11 @@ def _scale(picture: ByteArray, factor: float) -> ByteArray:
 
 
 def _mark_pads(mapped: HazardMap, picture: ByteArray, factor: float) -> ByteArray:
-    """Draw a box at each chosen pad onto the picture; factor: pixels per cell."""
+    """Draw rocks and a box at each chosen pad onto the picture; factor: pixels per cell."""
+    for rock in mapped.survey.rocks:
+        down, right = (round((at + 0.5) * factor) for at in find_cell(rock, mapped.view))
+        wide = max(round(0.5 * rock.diameter_m / mapped.view.cell_m * factor), 2)
+        cv2.circle(picture, (right, down), wide, ROCK_COLOUR, 1)
     half = 0.5 * mapped.risk.cells
     for pad in mapped.pads:
         if pad.cell is None:

@@ -9,16 +9,16 @@ criterion is worse than chance, because slopes that face the Sun have the least 
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
-from catalog.arrays import BoolArray, ByteArray, Float32Array, FloatArray
+from catalog.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from catalog.errors import NoSolutionError
 from catalog.terrain.slopes import convert_to_degrees
 from optnav_cli.hazard.ground_view import MIN_PAD_CELLS, PictureOnGround, average_boxes
-from optnav_cli.hazard.model import HazardModel
+from optnav_cli.hazard.settings import HazardModel
 from optnav_cli.hazard.shading import ShadedSlopes
 
 REFUSED = 255
@@ -47,6 +47,14 @@ class RiskMap:
     cells: int
     code: ByteArray
     shares: Mapping[str, Float32Array] = field(default_factory=dict)
+
+    def find_middles(self, shape: tuple[int, ...]) -> tuple[IntArray, ...]:
+        """Find the cells of a view of a shape that the pads' middles lie in, for indexing."""
+        places = (
+            np.minimum(np.rint(self.origin + self.step * np.arange(size)).astype(int), limit - 1)
+            for size, limit in zip(self.score.shape, shape)
+        )
+        return np.ix_(*places)
 
 
 @dataclass(frozen=True)
@@ -244,6 +252,26 @@ def add_refusals(risk: RiskMap, more: Mapping[str, BoolArray]) -> RiskMap:
     for places in refused.values():
         score[places], code[places] = np.inf, REFUSED
     return RiskMap(score, refused, risk.origin, risk.step, risk.cells, code, risk.shares)
+
+
+def add_rocks(
+    risk: RiskMap, view: PictureOnGround, rocks: Float32Array, marked: Float32Array
+) -> RiskMap:
+    """Add the share of each pad that is near rocks to its risk, and count its rocks.
+
+    rocks   (rows, cols) of the view: rocks whose middles lie in the cell
+    marked  1 where a rock is under the base of a lander, else 0
+    """
+    cells = risk.cells + 1 - risk.cells % 2
+    at_pads = risk.find_middles(view.brightness.shape)
+    share = average_boxes(marked, cells, 0.0)[at_pads]
+    count = np.rint(average_boxes(rocks, cells, 0.0)[at_pads] * np.float32(cells * cells))
+    # by slopes a score is a share, by variance a code
+    unit = 1.0 if "expected_dangerous_share" in risk.shares else MAX_CODE
+    code = encode_risk(risk.code + np.float32(MAX_CODE) * share)
+    code[risk.code == REFUSED] = REFUSED
+    shares = {**risk.shares, "n_rocks": count.astype(np.float32), "rock_share": share}
+    return replace(risk, score=risk.score + np.float32(unit) * share, code=code, shares=shares)
 
 
 def choose_pads(view: PictureOnGround, risk: RiskMap, square_m: float) -> list[Pad]:

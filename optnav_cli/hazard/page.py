@@ -8,7 +8,8 @@ from markupsafe import Markup
 from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, read_input
 from catalog.tables import CsvRow
-from optnav_cli.frames.tables import PADS
+from optnav_cli.frames.tables import PADS, ROCKS
+from optnav_cli.hazard.rocks import ROCKS_FILE
 from optnav_cli.hazard.settings import PADS_FILE
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.wording import format_json
@@ -37,6 +38,9 @@ def make_hazard_page(folder: Path) -> str:
     if expected:
         mean = sum(expected) / len(expected)
         numbers.append((f"{100.0 * mean:.1f} %", "of the pads are expected above 7°"))
+    if (folder / ROCKS_FILE).is_file():  # folders of earlier versions have none
+        rocks = sum(bool(row["height_m"]) for row in ROCKS.rows(folder / ROCKS_FILE))
+        numbers.append((str(rocks), "rocks"))
     table = html.table(HEADER, [_format_row(row) for row in rows], text_columns=2)
     sections = [
         html.section("Result", html.tiles(numbers)),

@@ -27,7 +27,7 @@ from catalog.geometry.vectors import unit
 from catalog.photometry.laws import find_law
 from catalog.terrain.slopes import BASE_M, CRITICAL_DEG, DANGEROUS_DEG
 from optnav_cli.hazard.ground_view import PictureOnGround, average_boxes, resize_grid
-from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, interpolate_terms
+from optnav_cli.hazard.settings import ErrorOfSlopes, HazardModel, interpolate_terms
 
 MARGIN_CELLS = 64  # around the picture, which its ground is continued over
 STEPS = 512  # of a table of slopes by brightness
@@ -73,6 +73,18 @@ def map_slopes(view: PictureOnGround, model: HazardModel, law: str = "hapke") ->
     across_base = max(1, round(BASE_M / view.cell_m))
     toward, across = average_boxes(toward, across_base), average_boxes(across, across_base)
     return rate_danger(view, toward, across, shadow, model)
+
+
+def measure_slopes_toward(view: PictureOnGround, law: str) -> Float32Array:
+    """Measure slopes along the Sun (rows, cols), tangents, from brightness alone.
+
+    Raises NoSolutionError for a picture without light.
+    """
+    curves = _compute_curves(view, law)
+    level = find_level_brightness(view, curves)
+    toward = np.empty(view.brightness.shape, np.float32)
+    _invert(view.brightness, curves.slopes, 1.0 / level, 0.0, toward, np.empty_like(toward))
+    return toward
 
 
 def rate_danger(

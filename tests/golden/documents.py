@@ -73,6 +73,7 @@ TABLES = {
     "ortho": "ortho.csv",
     "pads": "pads.csv",
     "carried_pads": "carried_pads.csv",
+    "rocks": "rocks.csv",
     "calibration_residuals": "residuals.csv of a calibration",
     "orbit": "orbit.csv",
     "orbit_residuals": "residuals.csv of an orbit",

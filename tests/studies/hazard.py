@@ -28,8 +28,8 @@ from catalog.terrain.slopes import (
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.hazard.ground_view import PictureOnGround, look_down, resize_grid
 from optnav_cli.hazard.hazard_map import combine_slopes
-from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, load_hazard_model
 from optnav_cli.hazard.pads import Pad, RiskMap, choose_pads, map_variance, rate_slopes
+from optnav_cli.hazard.settings import ErrorOfSlopes, HazardModel, load_hazard_model
 from optnav_cli.hazard.shading import compute_narrowness, compute_rating_features, map_slopes
 from tests.studies.hazard_fields import (
     CELL_M,

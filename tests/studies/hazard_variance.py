@@ -13,8 +13,8 @@ import numpy as np
 
 from catalog.arrays import Float32Array
 from optnav_cli.hazard.ground_view import PictureOnGround
-from optnav_cli.hazard.model import HazardModel
 from optnav_cli.hazard.pads import PadBrightness, choose_pads, measure_brightness, rate_brightness
+from optnav_cli.hazard.settings import HazardModel
 
 DARKEST = (0.8, 0.85, 0.9, 0.95)  # mean of a pad over the most frequent brightness
 BRIGHTEST = (0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06, 1.08, 1.1, 1.12, 1.14)

@@ -256,6 +256,21 @@ _OTHERS = (
         ),
     ),
     Study(
+        "hazard_rocks",
+        "Rocks by their shadows; craters that are dangerous.",
+        """Photograph ground with rocks of a published law from above, list its rocks, and compare.
+
+        Rocks above 30 cm under a Sun of 5, 20 and 30 deg from 100 to 300 m, and the area of rocks
+        whose shadows cover 10 %. Then the least dangerous crater by age and the variance of
+        brightness by crater and resolution. Takes ten minutes; --fit finds [rocks] of
+        configs/models/hazard.toml on other fields before and prints it.""",
+        "--fields 1",
+        (
+            option("--fields", click.IntRange(1, 90), 3, "Fields of each case."),
+            option("--fit", bool, False, "Fit the numbers before.", is_flag=True),
+        ),
+    ),
+    Study(
         "horizon",
         "Positions from the limb alone.",
         """Solve single pictures from 50 to 100 000 km by their limb, and compare with the truth.

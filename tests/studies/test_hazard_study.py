@@ -9,8 +9,8 @@ import pytest
 
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.hazard.model import load_hazard_model
 from optnav_cli.hazard.pads import PadBrightness, choose_pads, rate_slopes
+from optnav_cli.hazard.settings import load_hazard_model
 from optnav_cli.hazard.shading import map_slopes
 from tests.optnav_cli.hazard.views import view_of
 from tests.studies import hazard as study

@@ -17,8 +17,8 @@ from optnav_cli.frames.tables import HEIGHTS, LANDMARKS, PADS, CsvTable
         (
             PADS,
             "file,square_row,square_col,x_px,y_px,lat_deg,lon_deg,expected_dangerous_share,"
-            "expected_critical_share,shadow_share,mean_slope_deg,prior_slope_deg,dir_camera_x,"
-            "dir_camera_y,dir_camera_z,dir_body_x,dir_body_y,dir_body_z,reason",
+            "expected_critical_share,shadow_share,mean_slope_deg,prior_slope_deg,n_rocks,rock_share,"
+            "dir_camera_x,dir_camera_y,dir_camera_z,dir_body_x,dir_body_y,dir_body_z,reason",
         ),
         (
             HEIGHTS,

@@ -8,8 +8,8 @@ import pytest
 from catalog.errors import NoSolutionError
 from catalog.terrain.slopes import compute_slope_components, convert_to_degrees
 from optnav_cli.hazard.hazard_map import combine_slopes, find_too_steep
-from optnav_cli.hazard.model import load_hazard_model
 from optnav_cli.hazard.pads import REFUSED, choose_pads, count_pad_cells, rate_slopes
+from optnav_cli.hazard.settings import load_hazard_model
 from optnav_cli.hazard.shading import ShadedSlopes, map_slopes
 from tests.optnav_cli.hazard.views import bumps, drawn, view_of
 

@@ -11,7 +11,6 @@ from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.picture import Picture
 from optnav_cli.hazard.ground_view import KnownPose, look_from
-from optnav_cli.hazard.model import load_hazard_model
 from optnav_cli.hazard.registration import (
     Reference,
     UncertainPose,
@@ -23,6 +22,7 @@ from optnav_cli.hazard.registration import (
     refine_pose,
     sample_ground,
 )
+from optnav_cli.hazard.settings import load_hazard_model
 
 RADIUS, HEIGHT, SIZE = 1737400.0, 400.0, 300
 LAT, LON = np.radians(-70.0), np.radians(20.0)

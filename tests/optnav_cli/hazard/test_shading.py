@@ -6,8 +6,8 @@ import pytest
 from catalog.errors import NoSolutionError
 from catalog.photometry.laws import find_law
 from catalog.terrain.slopes import compute_slope_components, convert_to_degrees
-from optnav_cli.hazard.model import load_hazard_model
 from optnav_cli.hazard.pads import rate_slopes
+from optnav_cli.hazard.settings import load_hazard_model
 from optnav_cli.hazard.shading import map_slopes
 from tests.optnav_cli.hazard.views import bumps, drawn, view_of
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from catalog.errors import NoSolutionError
-from optnav_cli.hazard.model import load_hazard_model
 from optnav_cli.hazard.pads import (
     REFUSED,
     find_usual_brightness,
     map_variance,
     measure_brightness,
 )
+from optnav_cli.hazard.settings import load_hazard_model
 from tests.optnav_cli.hazard.views import view_of
 
 MODEL = load_hazard_model()
