@@ -384,10 +384,11 @@ def draw_overview(mapped: HazardMap) -> ByteArray:
     gray = shade_picture(
         scale_to_eight_bits(np.where(view.valid, view.brightness, np.float32(0.0)))
     )
+    title = "pads; orange: rocks" if mapped.survey.rocks else "pads"
     panels = [
         ("picture on the ground", _scale(gray, factor)),
         ("risk: green 0, red 0.6; dark refused", _scale(_draw_risk_cells(mapped), factor)),
-        ("pads; orange: rocks", _mark_pads(mapped, _scale(gray, factor), factor)),
+        (title, _mark_pads(mapped, _scale(gray, factor), factor)),
     ]
     if mapped.slopes is not None:
         degrees = convert_to_degrees(np.stack([mapped.slopes.toward, mapped.slopes.across]))

@@ -85,6 +85,14 @@ HEADLINES: dict[str, dict[str, str]] = {
         ),
         "one picture: {} %": "hazard_descent 0 6 pads_7",
     },
+    "hazard_rocks": {
+        "even ground, Sun at 20°, 100 m: {} % found ({}), false {} of 100 ({})": (
+            "hazard_rocks 0 4 found found_asked false false_asked"
+        ),
+        "**missed**, rough: {} % ({}), {} of 100 ({})": (
+            "hazard_rocks 0 1 found found_asked false false_asked"
+        ),
+    },
     "stereo": {
         "100 m, mounting exact: {} m (0.1)": "stereo 0 2 exact_m",
         'known to 20": {} m, {} m stated': "stereo 0 2 mounted_m mounted_sigma_m",

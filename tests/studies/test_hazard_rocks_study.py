@@ -1,4 +1,4 @@
-"""The study of rocks and craters: the law that rocks are drawn by, and a small picture."""
+"""The study of rocks and craters: the law that rocks are drawn by, a row, the stored figures."""
 
 from dataclasses import replace
 
@@ -19,6 +19,7 @@ from tests.studies.hazard_rocks_ground import (
     draw_rocks,
     make_rocky_ground,
 )
+from tests.studies.stored import read_stored
 
 MODEL = load_hazard_model()
 
@@ -56,6 +57,18 @@ def test_a_picture_from_too_high_is_refused_with_the_reason() -> None:
     score = study.RockScore()
     study.judge(study.RockCase("even", 20.0, 0.02, 400.0), ground, MODEL, score)
     assert "too coarse for rocks of 0.3 m" in score.reason
+
+
+def test_stored_figures_reach_what_is_asked() -> None:
+    """Found and false of both grounds together; rough ground alone is short of it."""
+    table = read_stored("hazard_rocks").tables[0]
+    names = [column.name for column in table.columns]
+    rows = [dict(zip(names, row, strict=True)) for row in table.rows]
+    asked = [row for row in rows if (row["sun"], row["camera"], row["share"]) == (20.0, 100.0, 5.0)]
+    assert {row["ground"] for row in asked} == {"rough", "even"}
+    assert np.average([r["found"] for r in asked], weights=[r["rocks"] for r in asked]) >= 90.0
+    assert np.average([r["false"] for r in asked], weights=[r["listed"] for r in asked]) <= 5.0
+    assert all(row["false"] <= 5.0 for row in asked)
 
 
 def edges_of(count: int = 4000) -> tuple[study.FitData, ...]:
