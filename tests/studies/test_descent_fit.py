@@ -26,9 +26,9 @@ CALIBRATED = {
     "landmark_px": 0.4,
     "landmark_shift": 3e-4,
     "landmark_height_postings": 0.5,
-    "stated_shift": 0.46,
-    "stated_height": 2.9,
-    "stated_width": 0.25,
+    "stated_shift": 0.5,
+    "stated_height": 3.4,
+    "stated_width": 0.62,
     "altimeter_postings": 0.06,
 }
 

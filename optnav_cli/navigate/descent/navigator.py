@@ -218,7 +218,8 @@ class DescentNavigator:
             made = self._update(frame, stated, sought, tracks)
         except NoSolutionError as error:
             reason = Reason.from_error(error)
-            if not self._is_carried(sought, tracks):
+            shows_ground = find_view(frame.camera, self._state.filter.pose(stated), windows)
+            if shows_ground is None or not self._is_carried(sought):
                 rows = make_match_rows(frame, sought, tracks, {}, self._state.filter.pose(stated))
                 n_found = sum(row.measured_px is not None for row in rows)
                 evidence = Evidence(len(rows), n_found, 0, matches=rows)
@@ -249,15 +250,15 @@ class DescentNavigator:
         self._ranged_m = here
         return replace(made, state=state)
 
-    def _is_carried(self, sought: Sequence[SoughtWindow], tracks: Sequence[SoughtLandmark]) -> bool:
+    def _is_carried(self, sought: Sequence[SoughtWindow]) -> bool:
         """Whether a frame that measures nothing is known from those before it.
 
-        Not one that shows no ground, or much that contradicts the track, and not a track that is
-        known no better than at its start.
+        Not one that shows no window of those in view, or much that contradicts the track, and not
+        a track that is known no better than at its start.
         """
-        n_found = sum(not sight.match.reason for sight in sought)
-        seen = [sight.match.reason for sight in sought] + [sight.match.reason for sight in tracks]
-        if all(reason.code == ReasonCode.OUT_OF_VIEW for reason in seen):
+        seen = [sight.match.reason for sight in sought]
+        n_found = sum(not reason for reason in seen)
+        if seen and all(reason.code == ReasonCode.OUT_OF_VIEW for reason in seen):
             return False
         if not self._solved or n_found >= MIN_AGAINST:
             return False

@@ -76,7 +76,7 @@ class StatedRoots:
     """A window's error by the stated error of the terrain model, in bands of wavelength.
 
     roots_m    (k, 3, 3) symmetric roots of covariances, m, body frame
-    lengths_m  (k,) along the ground, over which an error of a band stays alike, as a Gaussian
+    lengths_m  (k,) along the ground, by which the likeness of a band's errors falls to 1/e
     place_m    (3,) of the window
     """
 
@@ -252,7 +252,7 @@ def correlate_errors(some: Sequence[WindowError], others: Sequence[WindowError])
     places, other_places = (np.array([each.place_m for each in roots]) for roots in stated)
     lengths = np.max([each.lengths_m for each in stated[0] + stated[1]], axis=0)
     apart = np.linalg.norm(places[:, None] - other_places, axis=2)
-    ties = np.exp(-0.5 * np.square(apart / lengths[:, None, None]))
+    ties = np.exp(-apart / lengths[:, None, None])
     bands = (np.array([each.roots_m for each in roots]) for roots in stated)
     blocks = blocks + np.einsum("kij,ikab,jkcb->iajc", ties, *bands, optimize=True)
     tied: FloatArray = blocks.reshape(3 * len(some), 3 * len(others))
