@@ -283,7 +283,7 @@ def refine_pose(
     before[:3] = given.pose.position_m - at.pose.position_m
     before[3:6] = (given.pose.camera_from_body.inv() * at.pose.camera_from_body).as_rotvec()
     before[6] = given.raised_m - at.raised_m
-    best: tuple[float, _Solved] | None = None
+    best: tuple[float, _Refinement] | None = None
     for share in SHARES:
         covariance = np.zeros((PARAMETERS, PARAMETERS))
         covariance[:7, :7] = given.covariance / share
@@ -322,7 +322,7 @@ def _make_rows(view: PictureOnGround, at: KnownPose, places_m: FloatArray) -> Fl
     return np.concatenate([by_pose, shift], axis=2)
 
 
-class _Solved(NamedTuple):
+class _Refinement(NamedTuple):
     """Parameters (9,), their covariance, and the windows' variance over the stated one."""
 
     change: FloatArray
@@ -336,7 +336,7 @@ def _solve(
     before: FloatArray,
     covariance: FloatArray,
     sigma_m: float,
-) -> _Solved | None:
+) -> _Refinement | None:
     """Solve for the parameters robustly; None where windows disagree."""
     prior = np.linalg.inv(covariance)
     weights: FloatArray = np.ones(len(shifts_m))
@@ -357,4 +357,4 @@ def _solve(
     factor = max(1.0, float(np.sum(weights * off**2)) / max(2.0 * good.sum() - 4.0, 1.0))
     used = (jacobian * weights[:, None, None]).reshape(-1, PARAMETERS)
     normal = prior + used.T @ jacobian.reshape(-1, PARAMETERS) / (factor * sigma_m**2)
-    return _Solved(change, np.linalg.inv(normal), factor)
+    return _Refinement(change, np.linalg.inv(normal), factor)
