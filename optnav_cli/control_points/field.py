@@ -47,6 +47,10 @@ class StatedBands(NamedTuple):
     sides_m: FloatArray
     sigmas_m: FloatArray
 
+    def measure_shift_m(self) -> float:
+        """Measure 1 sigma of the place per axis by all bands, m."""
+        return float(np.linalg.norm(self.sigmas_m[:, 0]))
+
 
 NOT_STATED = StatedBands(BAND_SIDES_M, np.zeros((len(BAND_SIDES_M), 2)))
 

@@ -63,7 +63,7 @@ MAX_SHARE = 0.9
 # No sizes of windows.
 KEPT = "landmark_px", "landmark_shift", "landmark_height_postings", "altimeter_postings"
 # Of windows over a model that states its error: fitted with such flights, the others held.
-STATED = "stated_shift", "stated_height", "stated_width"
+STATED = "stated_shift", "stated_height", "stated_width", "stated_own"
 SHARES = ("common", "fresh_share")
 BEGINNING = b"# How far a window of the terrain model"
 

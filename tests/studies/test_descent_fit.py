@@ -26,9 +26,10 @@ CALIBRATED = {
     "landmark_px": 0.4,
     "landmark_shift": 3e-4,
     "landmark_height_postings": 0.5,
-    "stated_shift": 0.5,
-    "stated_height": 3.4,
-    "stated_width": 0.62,
+    "stated_shift": 0.3,
+    "stated_height": 3.2,
+    "stated_width": 0.6,
+    "stated_own": 0.45,
     "altimeter_postings": 0.06,
 }
 

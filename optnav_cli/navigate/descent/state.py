@@ -6,6 +6,7 @@ What all windows of a level have in common is a point of the state itself: it st
 windows have left.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -62,6 +63,7 @@ class DescentErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     stated_shift: Positive
     stated_height: Positive
     stated_width: Positive
+    stated_own: Positive
     altimeter_postings: Positive
 
 
@@ -128,7 +130,8 @@ class WindowGround:
         high = sizes.height_postings * self.posting_m
         common = sizes.common * np.diag([sigma_m**2, sigma_m**2, high**2])
         ground_m2 = (1.0 - sizes.common) * np.diag([sigma_m**2, sigma_m**2, high**2])
-        ground_m2[:2, :2] += scale * sizes.remainder * self.left_m2
+        own = sizes.stated_own * self.stated.measure_shift_m()
+        ground_m2[:2, :2] += own**2 * np.eye(2) + scale * sizes.remainder * self.left_m2
         values, vectors = np.linalg.eigh(ground_m2)
         roots = np.sqrt(common), vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
         common_m, own_m = (self.axes @ root @ self.axes.T for root in roots)
@@ -146,8 +149,9 @@ class WindowGround:
         """Compute (2, 2) of a match's error, east and north: constant and scaled part."""
         sigma_m = sizes.own_postings * SIDE / self.key.side * self.posting_m
         # the longest waves move all windows of a frame together
-        bands_m = sizes.stated_shift * self.stated.sigmas_m[:-1, 0]
-        sigma_m = float(np.hypot(sigma_m, np.linalg.norm(bands_m)))
+        bands_m = sizes.stated_shift * float(np.linalg.norm(self.stated.sigmas_m[:-1, 0]))
+        own = sizes.stated_own * self.stated.measure_shift_m()
+        sigma_m = math.hypot(sigma_m, bands_m, own)
         stays = sigma_m**2 * np.eye(2) + sizes.fresh_px**2 * self.pixel_m2
         return stays, (sizes.remainder + sizes.fresh_share) * self.left_m2
 

@@ -93,12 +93,20 @@ def stated_window(col: int, level: int = 0) -> WindowError:
     return ground.compute_error(load_descent_sizes())
 
 
+def plain_window() -> WindowError:
+    """The same window of a model that states nothing."""
+    none = np.zeros((2, 2))
+    ground = WindowGround(WindowKey(0, 24, 0, 0), np.eye(3), 118.45, none, np.eye(2))
+    return ground.compute_error(load_descent_sizes())
+
+
 def test_what_a_model_states_widens_its_windows() -> None:
     sizes, count = load_descent_sizes(), len(BAND_SIDES_M)
     total = correlate_errors([stated_window(0)], [stated_window(0)])
-    plain = replace(stated_window(0), stated=NO_ROOTS)
+    plain = replace(stated_window(0), stated=NO_ROOTS, own_m=plain_window().own_m)
     gained = np.diag(total) - np.diag(correlate_errors([plain], [plain]))
-    shift, height = 100.0 * sizes.stated_shift**2, 16.0 * sizes.stated_height**2
+    shift = 100.0 * (sizes.stated_shift**2 + sizes.stated_own**2)
+    height = 16.0 * sizes.stated_height**2
     assert gained == pytest.approx(count * np.array([shift, shift, height]), rel=1e-5)
 
 
