@@ -6,6 +6,7 @@ import pytest
 from catalog.arrays import FloatArray
 from catalog.config import read_toml_text, resource
 from catalog.geometry.latlon import body_from_local
+from optnav_cli.control_points.field import BAND_SIDES_M, NOT_STATED, StatedBands
 from optnav_cli.navigate.descent.state import FILE, WindowGround, load_descent_sizes
 from optnav_cli.navigate.descent.windows import STEP, WindowKey
 from tests.studies import descent_fit
@@ -34,7 +35,16 @@ CALIBRATED = {
 }
 
 
-def flight(rng: np.random.Generator, sizes: descent_fit.DescentErrorSizes) -> FlightErrors:
+def place_m(key: WindowKey) -> FloatArray:
+    """A window's place on flat ground."""
+    return STEP * 118.45 * (AXES[:, :2] @ [key.col, key.row])
+
+
+def flight(
+    rng: np.random.Generator,
+    sizes: descent_fit.DescentErrorSizes,
+    stated: StatedBands = NOT_STATED,
+) -> FlightErrors:
     """Windows side by side, seen in several frames from two sides, missed as sizes say."""
     keys = [
         WindowKey(0, 24, 4 * STEP * row, 4 * STEP * col) for row in range(5) for col in range(5)
@@ -42,7 +52,7 @@ def flight(rng: np.random.Generator, sizes: descent_fit.DescentErrorSizes) -> Fl
     left = rng.uniform(0.0, 400.0, (WINDOWS, 2))
     pixel_m2 = PIXEL_M**2 * np.eye(2)
     grounds = [
-        WindowGround(key, AXES, 118.45, np.diag(own), pixel_m2)
+        WindowGround(key, AXES, 118.45, np.diag(own), pixel_m2, stated, place_m(key))
         for key, own in zip(keys, left, strict=True)
     ]
     of_window = np.tile(np.arange(WINDOWS), FRAMES)
@@ -99,6 +109,21 @@ def test_the_shipped_sizes_are_the_calibrated_ones(calibrated: list[FlightErrors
         assert twice > 0.0 if name in weak else min(half, twice) > LEAST_DROP, name
     for name, value in CALIBRATED.items():
         assert 1 / 1.5 < getattr(load_descent_sizes(), name) / value < 1.5, name
+
+
+@pytest.mark.calibration
+def test_flights_over_a_model_that_states_its_error_tell_its_sizes() -> None:
+    """And no others: those of windows are told by flights over models that state nothing."""
+    rng, sizes = np.random.default_rng(8), load_descent_sizes()
+    sigmas_m = np.zeros((len(BAND_SIDES_M), 2))
+    sigmas_m[-3:] = (10.0, 5.0), (140.0, 10.0), (30.0, 15.0)
+    stated = StatedBands(BAND_SIDES_M, sigmas_m)
+    found = descent_fit.drops([flight(rng, sizes, stated) for _ in range(FLIGHTS)], sizes)
+    assert found.keys() == set(descent_fit.STATED)
+    # what windows share is told apart from a wrong model, whose scale is learned, towards less alone
+    weak = {"stated_shift", "stated_width"}
+    for name, (half, twice) in found.items():
+        assert (half if name in weak else min(half, twice)) > LEAST_DROP, name
 
 
 def test_new_sizes_are_written_into_the_file_of_the_old_ones() -> None:
