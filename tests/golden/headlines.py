@@ -72,6 +72,9 @@ HEADLINES: dict[str, dict[str, str]] = {
         "12 m model: {} / {} m ({}), NEES {}": (
             "descent_fine 0 0 horizontal_a_component_m height_m asked_for_m nees"
         ),
+        "**missed**, as the Moon differs, 6.5-2 km: {} / {} m ({}), NEES {}": (
+            "descent_moon 0 1 horizontal_a_component_m height_m asked_for_m nees"
+        ),
     },
     "hazard": {
         "rough ground, {} % above 7°, Sun at 20°: {} % of pads, {} % expected": (

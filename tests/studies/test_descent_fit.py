@@ -120,7 +120,7 @@ def test_flights_over_a_model_that_states_its_error_tell_its_sizes() -> None:
     stated = StatedBands(BAND_SIDES_M, sigmas_m)
     found = descent_fit.drops([flight(rng, sizes, stated) for _ in range(FLIGHTS)], sizes)
     assert found.keys() == set(descent_fit.STATED)
-    # what windows share is told apart from a wrong model, whose scale is learned, towards less alone
+    # of what windows share more may pass for a wrong model, whose scale is learned
     weak = {"stated_shift", "stated_width"}
     for name, (half, twice) in found.items():
         assert (half if name in weak else min(half, twice)) > LEAST_DROP, name
