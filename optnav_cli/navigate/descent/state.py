@@ -130,8 +130,8 @@ class WindowGround:
         high = sizes.height_postings * self.posting_m
         common = sizes.common * np.diag([sigma_m**2, sigma_m**2, high**2])
         ground_m2 = (1.0 - sizes.common) * np.diag([sigma_m**2, sigma_m**2, high**2])
-        own = sizes.stated_own * self.stated.measure_shift_m()
-        ground_m2[:2, :2] += own**2 * np.eye(2) + scale * sizes.remainder * self.left_m2
+        shift_m = sizes.stated_own * self.stated.measure_shift_m()
+        ground_m2[:2, :2] += shift_m**2 * np.eye(2) + scale * sizes.remainder * self.left_m2
         values, vectors = np.linalg.eigh(ground_m2)
         roots = np.sqrt(common), vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
         common_m, own_m = (self.axes @ root @ self.axes.T for root in roots)
@@ -150,8 +150,8 @@ class WindowGround:
         sigma_m = sizes.own_postings * SIDE / self.key.side * self.posting_m
         # the longest waves move all windows of a frame together
         bands_m = sizes.stated_shift * float(np.linalg.norm(self.stated.sigmas_m[:-1, 0]))
-        own = sizes.stated_own * self.stated.measure_shift_m()
-        sigma_m = math.hypot(sigma_m, bands_m, own)
+        shift_m = sizes.stated_own * self.stated.measure_shift_m()
+        sigma_m = math.hypot(sigma_m, bands_m, shift_m)
         stays = sigma_m**2 * np.eye(2) + sizes.fresh_px**2 * self.pixel_m2
         return stays, (sizes.remainder + sizes.fresh_share) * self.left_m2
 
