@@ -89,8 +89,8 @@ class Descent:
         given = UncertainPose.make(pose, fix.covariance_m2, sigma or 0.0, ground_m)
         view, refined = self._refine(frame.picture, camera, given)
         earlier = None if self._last is None else self._last[0]
-        heights: Heights | float = 0.0 if self._heights is None else self._heights
-        look = partial(look_from, frame.picture, camera, refined.pose, heights)
+        ground = self._raise_ground(refined)
+        look = partial(look_from, frame.picture, camera, refined.pose, ground)
         frame.mapped = map_hazard(view, self._settings, self._prior, earlier, look)
         self.pads = carry_pads(
             self.pads, frame.file, frame.mapped, refined, self._settings, self._heights

@@ -15,6 +15,8 @@ from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.frames.tables import CARRIED_PADS, PADS
+from optnav_cli.hazard import descent
+from optnav_cli.hazard.hazard_map import map_hazard
 from optnav_cli.main import run
 from optnav_cli.output.manifest import write_manifest
 from optnav_cli.output.run_folder import copy_inputs
@@ -104,6 +106,22 @@ def test_pads_are_carried_with_their_covariance(place: Path) -> None:
     names = list_columns(place / "out" / "carried_pads.gpkg", "landing_pads")
     assert "sigma_east_m" in names
     assert json.loads((place / "out" / "manifest.json").read_text())["results"]["mapped"] == 3
+
+
+def test_rocks_are_looked_for_on_the_ground_that_the_pose_was_refined_with(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its height over the model is found with the pose: both views have one scale."""
+    heights = []
+
+    def map_view(view, settings, prior, earlier, look):
+        heights.append((view.camera_m[2], look(view.cell_m).camera_m[2]))
+        return map_hazard(view, settings, prior, earlier)
+
+    monkeypatch.setattr(descent, "map_hazard", map_view)
+    assert run(["hazard", "run", *OPTIONS]) == 0
+    for over_ground_m, looked_m in heights:
+        assert looked_m == pytest.approx(over_ground_m, abs=1e-3)
 
 
 def test_the_same_run_gives_the_same_bytes(place: Path) -> None:
