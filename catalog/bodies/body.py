@@ -89,6 +89,8 @@ class RotationSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True, ca
     Polynomials from J2000 TDB: right ascension and declination of the pole in degrees by powers of
     Julian centuries, the prime meridian W by powers of days.
     error_m is the mean size of its known error at the surface; 0 where none is stated.
+    theory  "iau2006": the Earth's precession and nutation instead, by which the polynomials serve
+            for rates alone
     """
 
     pole_ra_deg_by_century: Polynomial
@@ -96,6 +98,7 @@ class RotationSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True, ca
     meridian_deg_by_day: Polynomial
     error_m: ErrorM = 0.0
     terms: tuple[RotationTerm, ...] = ()
+    theory: Literal["series", "iau2006"] = "series"
 
 
 class GravityField(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -6,7 +6,8 @@ Analytic, without files: rotation by the series of configs/bodies with its fitte
 Sun and the Earth by SOFA, small bodies by the Kepler orbit of their file. SPICE: the rotation of
 the frame that configs/bodies states, else of the one that the kernels tie to the body; positions of
 the SPK kernels. Where no SPK kernel is named (orientation kernels reach further than most orbits),
-Sun and places stay analytic.
+Sun and places stay analytic. The Earth's rotation takes UT1 and polar motion from an IERS table
+that is named in place of kernels.
 
 Directions to the Sun are apparent ones (light time and stellar aberration), as pictures show it.
 Positions are geometric ones at the very time, as forces and orbits need them.
@@ -29,7 +30,14 @@ from catalog.bodies.body import Body, LockedOrbit, SunOrbit, SunTheory, load_bod
 from catalog.bodies.coverage import intersect_spans
 from catalog.bodies.epochs import DAY_S, J2000_JD, utc_from_tdb_s
 from catalog.bodies.kernels import KernelSet
-from catalog.bodies.rotation import body_from_inertial
+from catalog.bodies.rotation import (
+    EarthOrientation,
+    body_from_inertial,
+    estimate_earth_error_m,
+    is_earth_orientation,
+    read_earth_orientation,
+    rotate_earth,
+)
 from catalog.errors import DataError
 from catalog.geometry.vectors import unit
 
@@ -208,14 +216,28 @@ class Ephemeris(ABC):
 class AnalyticEphemeris(Ephemeris):
     """Analytic theories: SOFA and the rotation series of the body's file."""
 
-    def __init__(self, body: Body) -> None:
-        self.body = body
+    def __init__(self, body: Body, orientation: EarthOrientation | None = None) -> None:
+        """Take the Earth's UT1 and polar motion from a table; None: none of either."""
+        self.body, self._orientation = body, orientation
         self.name = "analytic theory (SOFA, rotation series)"
+        if orientation is not None:
+            self.name = f"analytic theory (SOFA, IAU 2006/2000A) and {orientation.name}"
+        elif body.rotation.theory == "iau2006":
+            self.name = (
+                "analytic theory (SOFA, IAU 2006/2000A without UT1 and polar motion: off by "
+                f"{body.rotation.error_m:.0f} m rms and up to 420 m at the equator; name an IERS "
+                "table in [spice] kernels)"
+            )
 
     def error_m(self, tdb_s: float) -> float:
+        if self._orientation is not None:
+            return estimate_earth_error_m(tdb_s, self._orientation)
         return self.body.rotation_error_m(tdb_s)
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
+        """Raises DataError, with the dates of the IERS table, for a time outside it."""
+        if self._orientation is not None:
+            return self._rotate_to_catalog(rotate_earth(tdb_s, self._orientation))
         return self._rotate_to_catalog(body_from_inertial(self.body, tdb_s))
 
     def sun_inertial(self, tdb_s: float) -> FloatArray:
@@ -345,8 +367,24 @@ def find_naif_numbers(name: str) -> tuple[int, ...]:
 
 
 def load_ephemeris(body: Body, kernels: Sequence[Path]) -> Ephemeris:
-    """Use the kernels where any are named, else theory. Raises DataError as SpiceEphemeris does."""
-    return SpiceEphemeris(body, kernels) if kernels else AnalyticEphemeris(body)
+    """Use the kernels, or the Earth's IERS table, where any are named, else theory.
+
+    Raises DataError as SpiceEphemeris does, and for a table of another body or beside kernels.
+    """
+    tables = [path for path in kernels if is_earth_orientation(path)]
+    if not tables:
+        return SpiceEphemeris(body, kernels) if kernels else AnalyticEphemeris(body)
+    if body.rotation.theory != "iau2006":
+        raise DataError(
+            f"{tables[0]}: is no SPICE kernel, and tables of the IERS are for the Earth, not for "
+            f"{body.name}; correct [spice] kernels"
+        )
+    if len(kernels) > 1:
+        raise DataError(
+            f"{tables[0]}: stands beside other files in [spice] kernels; name the IERS table "
+            "alone, or the kernels without it"
+        )
+    return AnalyticEphemeris(body, read_earth_orientation(tables[0]))
 
 
 def _find_middle(span: tuple[float, float] | None, otherwise: float) -> float:

@@ -69,10 +69,16 @@ def compute_tdb_s_after(utc: str, seconds: ArrayLike) -> FloatArray:
 
 def utc_from_tdb_s(tdb_s: float, digits: int = 6) -> str:
     """ISO-8601 UTC time, ending in Z, of TDB seconds past J2000; `digits` decimals of a second."""
+    tai1, tai2 = tai_from_tdb_s(np.array(tdb_s))
+    return _format_iso(float(tai1), float(tai2), digits)
+
+
+def tai_from_tdb_s(tdb_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Both parts of the Julian dates, TAI, of TDB seconds past J2000, any shape."""
     day = tdb_s / DAY_S
-    tt1, tt2 = erfa.tdbtt(J2000_JD, day, _tdb_minus_tt_s(J2000_JD, day))
+    tt1, tt2 = erfa.tdbtt(J2000_JD, day, erfa.dtdb(J2000_JD, day, 0.0, 0.0, 0.0, 0.0))
     tai1, tai2 = erfa.tttai(tt1, tt2)
-    return _format_iso(tai1, tai2, digits)
+    return tai1, tai2
 
 
 def _format_iso(tai1: float, tai2: float, digits: int) -> str:

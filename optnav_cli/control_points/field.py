@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from catalog.arrays import BoolArray, FloatArray, IndexArray, IntArray
+from catalog.bodies.body import Body
 from catalog.cache import Cache
 from catalog.control_point import ControlPoint, Patch
 from catalog.errors import DataError
@@ -21,6 +22,7 @@ from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import PlanesMeta
 from catalog.terrain.error_model import TerrainErrorModel, measure_rms_slope
 from optnav_cli.control_points.reference import Reference
+from optnav_cli.estimation.models.points import correct_refraction
 
 
 class PointStore(Protocol):
@@ -69,6 +71,7 @@ class PointLayer:
     planes       the tangent planes in which patches lie; None: on the sphere
     errors       (n,) stated errors of the terrain models that the points are of, None for one
                  without; empty where none is stated
+    body         whose air bends lines of sight; None: without air
     """
 
     name: str
@@ -81,6 +84,7 @@ class PointLayer:
     radius_m: float
     planes: PlanesMeta | None = None
     errors: tuple[TerrainErrorModel | None, ...] = ()
+    body: Body | None = None
 
     @property
     def verticals(self) -> FloatArray:
@@ -179,6 +183,11 @@ class ControlPointField:
         box_m = 1e3 * error.box_km
         patch = min(reference.patches, key=lambda patch: abs(np.log(patch.posting_m / box_m)))
         return error, measure_rms_slope(patch.heights_m, patch.posting_m, size_m)
+
+    def correct_refraction(self, places_m: FloatArray, position_m: FloatArray) -> FloatArray:
+        """Move places (n, 3) to where straight lines of sight to a camera (3,) would end."""
+        body = self.layers[0].body
+        return places_m if body is None else correct_refraction(places_m, position_m, body)
 
     def name(self, index: int) -> tuple[str, int]:
         """Return the catalog of a point, and its id there."""

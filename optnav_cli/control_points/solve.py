@@ -373,7 +373,9 @@ def make_matched_frame(
         # what the frame shows of a cut template is not centred on the point
         places[i], pixels[i] = part.place_m, part.pixel
     sightings = Sightings(
-        places, pixels, np.array([matches[k].covariance_px2 for k in kept]).reshape(-1, 2, 2)
+        frame.points.correct_refraction(places, pose.position_m),
+        pixels,
+        np.array([matches[k].covariance_px2 for k in kept]).reshape(-1, 2, 2),
     )
     if not kept:
         return MatchedFrame(sightings, None, None, frame.sun_body)

@@ -13,11 +13,17 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
-from catalog.geometry.ellipsoid import compute_normals, geodetic_from_xyz
+from catalog.geometry.ellipsoid import geodetic_from_xyz
 from catalog.geometry.latlon import latlon_from_xyz, wrap_longitude_deg
 from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.settings import Construction
-from optnav_cli.estimation.models.points import Pose, predict
+from optnav_cli.estimation.models.points import (
+    MAX_ZENITH_DEG,
+    Pose,
+    compute_zeniths,
+    correct_refraction,
+    predict,
+)
 from optnav_cli.fix import Evidence, Fix, MatchKind, MatchRow, Method, NoFix, Solution, hash_name
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.points import PickedPoint, locate_points
@@ -34,7 +40,6 @@ from optnav_cli.points.resection import PickedPose, PickedResection, try_solve
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, describe_length
 
 PRIOR_SIGMAS = 5.0  # within which a prior decides between poses
-MAX_ZENITH_DEG = 70.0  # the formula of refraction is a few per cent off there, and grows
 MIN_EXACT_RAD = 5e-9  # of an attitude that counts as exact: 0.001"
 REFRACTION_ROUNDS = 2
 MIRRORED_READING = "once the longitudes are taken as west (a mirrored picture fits so, too)"
@@ -205,7 +210,8 @@ class _FrameOfPoints:
             if self._is_below(picked.pose, problem.points.places_m):
                 raise self._explain_mirrored()
             before = self._low
-            self._low = self._compute_zeniths(picked.pose) > np.radians(MAX_ZENITH_DEG)
+            zeniths = compute_zeniths(self._places, picked.pose.position_m, self._body)
+            self._low = zeniths > np.radians(MAX_ZENITH_DEG)
             problem = self._build_problem(self._correct_refraction(picked.pose))
             if len(problem.points) < problem.fewest:
                 raise self._explain_too_low() if picked.fits else self._explain_misfit(picked)
@@ -346,31 +352,8 @@ class _FrameOfPoints:
         places = locate_points(latlon_deg, heights_m, self._body, settings)
         return self._how.attitude.places.transform_to_catalog(places)
 
-    def _compute_zeniths(self, pose: Pose) -> FloatArray:
-        """Compute angles (n,) of the lines of sight from the vertical at the points, rad."""
-        up = compute_normals(self._places, self._body.radii_m)
-        sights = pose.position_m - self._places
-        sights /= np.linalg.norm(sights, axis=1, keepdims=True)
-        zeniths: FloatArray = np.arccos(np.clip((up * sights).sum(axis=1), -1.0, 1.0))
-        return zeniths
-
     def _correct_refraction(self, pose: Pose) -> FloatArray:
-        """Move places (n, 3) away from the nadir, to where straight lines of sight would end.
-
-        A ray that comes straight to z from the vertical meets the ground (n - 1) H tan z / cos^2 z
-        nearer to the nadir, for a camera above the air; ray tracing agrees to 3 % up to 70 deg.
-        """
-        air = self._body.atmosphere
-        if air is None:
-            return self._places
-        up = compute_normals(self._places, self._body.radii_m)
-        sights = self._places - pose.position_m
-        across = sights - (sights * up).sum(axis=1, keepdims=True) * up
-        length = np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-        zenith = np.minimum(self._compute_zeniths(pose), np.radians(MAX_ZENITH_DEG))
-        bent = air.refractivity * air.scale_height_m * np.tan(zenith) / np.cos(zenith) ** 2
-        refracted: FloatArray = self._places + across / length * bent[:, None]
-        return refracted
+        return correct_refraction(self._places, pose.position_m, self._body)
 
     def _explain_mirrored(self) -> NoSolutionError:
         text = "the points are seen so through the ground only: a mirrored picture"

@@ -14,10 +14,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import BoolArray, FloatArray, IndexArray
+from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
+from catalog.geometry.ellipsoid import compute_normals
 from catalog.geometry.rotations import cross_matrix
 from optnav_cli.estimation.least_squares import Linearisation, linearised
 from optnav_cli.reasons import ReasonCode
+
+MAX_ZENITH_DEG = 70.0  # the formula of refraction is a few per cent off there, and grows
 
 
 class ProjectingCamera(Protocol):
@@ -85,6 +89,38 @@ def predict(
     # exp(w) p = p + w x p = p - [p]x w
     by_rotation = -by_point @ cross_matrix(points_camera)
     return pixels, np.concatenate([by_position, by_rotation], axis=-1)
+
+
+def compute_zeniths(places_m: FloatArray, position_m: FloatArray, body: Body) -> FloatArray:
+    """Compute angles (n,), rad, of the lines of sight from the vertical at places (n, 3).
+
+    Of a camera at position_m (3,); all body-fixed.
+    """
+    up = compute_normals(places_m, body.radii_m)
+    sights = position_m - places_m
+    sights = sights / np.linalg.norm(sights, axis=1, keepdims=True)
+    zeniths: FloatArray = np.arccos(np.clip((up * sights).sum(axis=1), -1.0, 1.0))
+    return zeniths
+
+
+def correct_refraction(places_m: FloatArray, position_m: FloatArray, body: Body) -> FloatArray:
+    """Move places (n, 3) away from the nadir, to where straight lines of sight would end.
+
+    A ray that comes straight to z from the vertical meets the ground (n - 1) H tan z / cos^2 z
+    nearer to the nadir, for a camera above the air; ray tracing agrees to 3 % up to 70 deg. On the
+    Earth these are 0.4 m at 10 deg, 4.6 m at 45 deg and 53 m at 70 deg.
+    """
+    air = body.atmosphere
+    if air is None:
+        return places_m
+    up = compute_normals(places_m, body.radii_m)
+    sights = places_m - position_m
+    across = sights - (sights * up).sum(axis=1, keepdims=True) * up
+    length = np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    zenith = np.minimum(compute_zeniths(places_m, position_m, body), np.radians(MAX_ZENITH_DEG))
+    bent = air.refractivity * air.scale_height_m * np.tan(zenith) / np.cos(zenith) ** 2
+    refracted: FloatArray = places_m + across / length * bent[:, None]
+    return refracted
 
 
 class PointsModel:

@@ -1,8 +1,11 @@
 """Points of several catalogs in one field: which are there and near, and their names."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from catalog.bodies.body import load_body
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import xyz_from_latlon
 from optnav_cli.control_points.field import ControlPointField, PointLayer
@@ -83,3 +86,15 @@ def test_of_two_catalogs_the_points_of_both_are_near(globe):
     found = field.near(position, 70.0)
     assert {field.name(int(k))[0] for k in found} == {"tycho.gpkg", "moon.gpkg"}
     assert set(seen_at_less_than(field.xyz_m, position, 70.0)) <= set(found)
+
+
+@pytest.mark.parametrize(("zenith_deg", "moved_m"), [(0.0, 0.0), (10.0, 0.4), (45.0, 4.6)])
+def test_points_of_the_earth_are_seen_through_its_air(globe, zenith_deg, moved_m):
+    """Shifts as tracing of rays through an exponential atmosphere has them (design of 001)."""
+    earth, place = load_body("earth"), np.array([[6378137.0, 0.0, 0.0]])
+    tilt = np.radians(zenith_deg)
+    camera = place[0] + 832e3 * np.array([np.cos(tilt), np.sin(tilt), 0.0])
+    moved = ControlPointField([replace(globe, body=earth)]).correct_refraction(place, camera)
+    np.testing.assert_allclose(moved - place, [[0.0, -moved_m, 0.0]], atol=0.06)
+    same = ControlPointField([globe]).correct_refraction(place, camera)
+    np.testing.assert_array_equal(same, place)
