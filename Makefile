@@ -64,6 +64,7 @@ types: $(READY) ## types alone
 
 tests: $(READY) ## tests alone (ARGS="-k nearest -x" is handed to pytest; -n 0: one process)
 	@$(BIN)/python $(BYTE_CODE)
+	@$(ONE_THREAD) $(BIN)/python -m tests.kernels
 	$(KEEP_BYTE_CODE) $(ONE_THREAD) $(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 fuzz: $(READY) ## hostile inputs (N=500 SEED=1; one of them again: CASE=kind:seed; KINDS=map,import)

@@ -178,7 +178,7 @@ def test_sights_of_no_orbit_are_refuted(flown):
 
 
 def test_sights_of_two_flights_are_said_to_fit_no_one_orbit(flown):
-    times, states = flown
+    times, states = (part[::3] for part in flown)
     half = len(times) // 2
     sights = sights_of(times[: 2 * half], np.concatenate([states[:half], states[:half]]))
     with pytest.raises(NoSolutionError, match=r"zenith distances|refute") as caught:
