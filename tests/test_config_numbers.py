@@ -161,8 +161,10 @@ def test_every_number_loads_and_works_or_is_refused(name: str, tmp_path: Path) -
     with suppress(DataError):
         use(path)
     wrong: list[str] = []
+    first = next(other for other in CASES if CASES[other][0] is type_)
     for steps in places:
-        for value in VALUES:
+        # other files of a kind have the same keys: they show what their own numbers lead to
+        for value in VALUES if name == first else VALUES[::3]:
             changed = with_value(data, steps, value)
             if changed is None:
                 continue

@@ -40,9 +40,18 @@ nodata_option = click.option(
     (".tif", ".png"),
     required=False,
 )
+@click.option("--pads", type=PATH, help="A CSV file for the flattest pad of each square.")
+@click.option("--pad-m", type=METRES, default=20.0, show_default=True, help="Side of a pad.")
+@click.option("--square-m", type=METRES, default=200.0, show_default=True, help="Side of a square.")
 @json_option
 def slopes(
-    dem: Path, base_m: float, body: str, nodata: float | None, output: Path | None, as_json: bool
+    dem: Path,
+    base_m: float,
+    body: str,
+    nodata: float | None,
+    output: Path | None,
+    as_json: bool,
+    **places: Any,
 ) -> None:
     """Print the shares of the terrain model DEM above 7 deg and above 15 deg, and its rms slope.
 
@@ -52,19 +61,22 @@ def slopes(
     \b
     Example:
       optnav slopes bundled:tycho_gld100_256ppd.tif --base-m 240
-      optnav slopes site.tif -o slopes.tif
+      optnav slopes site.tif -o slopes.tif --pads pads.csv
     """
-    from optnav_cli.hazard.slopes import measure_slopes
+    from optnav_cli.hazard.slopes import PadSearch, measure_slopes
     from optnav_cli.output.wording import format_json
 
     report_compilation()
-    measured = measure_slopes(dem, base_m, body, output, nodata)
+    pads: Path | None = places["pads"]
+    search = None if pads is None else PadSearch(pads, places["pad_m"], places["square_m"])
+    measured = measure_slopes(dem, base_m, body, output, nodata, search)
     if as_json:
         click.echo(format_json(measured.figures()))
     else:
         click.echo(measured.to_text())
-        if output is not None:
-            click.echo(output)
+        for path in (output, pads):
+            if path is not None:
+                click.echo(path)
 
 
 @click.command("hazard", cls=OptnavCommand, short_help="Map the risk of landing, choose pads.")

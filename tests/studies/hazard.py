@@ -56,6 +56,7 @@ STEP = 5  # cells between the pads that expected and found shares are compared o
 EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 MIN_PADS = 200  # of a bin
 FIRST_FIT_SEED, FIT_FIELDS = 101, 4
+FIRST_SEED = 201  # of the fields that are judged
 FIT_ELEVATIONS = (5.0, 10.0, 20.0, 40.0)
 FIT_STEP, NARROW_STEP, FIT_BORDER = 4, 3, 12  # judged nodes
 # How pads are chosen: `flatness` and `most_longer` of the model, tried with --fit.
@@ -181,7 +182,7 @@ def run(progress: Progress, fields: int = 8, fit: bool = False, rows: str = "") 
     flattest: dict[str, list[float]] = {"rough": [], "even": []}
     with progress.stage("hazard", 2 * fields, "field") as bar:
         for kind, best in flattest.items():
-            for seed in range(1, fields + 1):
+            for seed in range(FIRST_SEED, FIRST_SEED + fields):
                 ground = make_field(kind, seed)
                 truth = true_shares(ground, PAD_CELLS)
                 best += flattest_pads(truth["squares"])

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 from scipy.spatial.transform import Rotation
@@ -19,6 +20,7 @@ from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.frames.tables import PADS
 from optnav_cli.hazard.job import _sample_catalog
 from optnav_cli.hazard.pads import REFUSED
+from optnav_cli.hazard.slopes import SITE_PADS
 from optnav_cli.main import run
 from tests.catalog.made_catalogs import make_world
 from tests.optnav_cli.hazard.views import bumps, drawn
@@ -361,6 +363,47 @@ def test_slopes_prints_and_writes_what_a_model_has(
         assert np.nanmax(file.read(1)) == pytest.approx(11.31, abs=0.01)
     assert (place / "s.png").read_bytes().startswith(b"\x89PNG")
     assert run(["slopes", "dem.tif", "-o", "dem.tif"]) == 3
+
+
+def test_slopes_finds_the_flattest_pad_of_each_square(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On a plane of 9 deg with a level place in each of six squares, and holes in the last."""
+    rng = np.random.default_rng(4)
+    steep = np.broadcast_to(np.arange(150, dtype=np.float32) * 2.0 * 0.16, (100, 150)).copy()
+    wanted = {}
+    for row in range(2):
+        for col in range(3):
+            i, j = 50 * row + rng.integers(2, 34), 50 * col + rng.integers(2, 34)
+            steep[i : i + 14, j : j + 14] = steep[i, j]
+            wanted[row, col] = (i + 6.5, j + 6.5)
+    steep[50:, 100:][::3, ::3] = np.nan
+    dem(place / "dem.tif", steep, 2.0)
+    words = ["slopes", "dem.tif", "--pads", "pads.csv", "--square-m", "100"]
+    assert run([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["squares"], found["pads"]) == (6, 5)
+    rows = SITE_PADS.rows(place / "pads.csv")
+    project = pyproj.Proj(f"+proj=stere +lat_0=-70 +lon_0=20 +R={RADIUS}")
+    for row in rows[:-1]:
+        assert (row["dangerous_share"], row["reason"]) == ("0.00000", "")
+        x, y = project(row.number("lon_deg"), row.number("lat_deg"))
+        at = 50.0 - 0.5 * y - 0.5, 75.0 + 0.5 * x - 0.5
+        off = np.subtract(at, wanted[row.count("square_row"), row.count("square_col")])
+        assert np.abs(off).max() <= 2.0
+    assert rows[-1]["reason"] == "no pad without holes"
+    assert run(words) == 0
+    assert "squares with a pad" in capsys.readouterr().out
+    for more, said in (
+        (["--pad-m", "5"], "a pad of 5 m is under 3 of them"),
+        (["--pad-m", "150"], "wanted more than a pad of 150 m"),
+        (["--square-m", "1000"], "a square of 1000 m does not fit in"),
+    ):
+        assert run([*words, *more]) == 3
+        assert said in capsys.readouterr().err
+    (place / "letter.csv").write_text("dear")
+    assert run(["slopes", "dem.tif", "--pads", "letter.csv"]) == 3
+    assert (place / "letter.csv").read_text() == "dear"
 
 
 def test_what_is_wrong_with_a_model_is_to_be_mended_in_its_file_not_in_a_section(
