@@ -194,6 +194,18 @@ def test_half_or_twice_a_fitted_bound_chooses_worse_pads():
         assert ratio > right or found == 0.0
 
 
+def test_stored_pads_by_variance_are_as_safe_as_asked_on_fields_not_fitted():
+    """15 and 17 % of rough ground, and of even ground, asked where 16 % are steep, a like share."""
+    table = read_stored("hazard").tables[0]
+    names = [column.name for column in table.columns]
+    rows = [dict(zip(names, row, strict=True)) for row in table.rows]
+    asked = [row for row in rows if row["pads_limit"] is not None]
+    assert len(asked) == 4
+    for row in asked:
+        steeper = row["area_7"] / 16.0 if row["ground"] == "even" else 1.0
+        assert row["pads_7"] <= row["pads_limit"] * steeper
+
+
 def test_carried_pads_lie_within_three_sigmas_and_are_no_worse_than_those_of_one_picture():
     table = read_stored("hazard_descent").tables[0]
     names = [column.name for column in table.columns]
