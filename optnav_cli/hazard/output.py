@@ -149,7 +149,8 @@ class HazardOutput:
     def add(self, frame: MappedFrame) -> None:
         """Write one frame's map or reason."""
         if frame.mapped is None:
-            self._rows.append({"file": frame.file, "reason": frame.reason})
+            for rows in (self._rows, self._rocks):
+                rows.append({"file": frame.file, "reason": frame.reason})
             self._record(frame)
         else:
             folder = self._folder / _make_folder_name(frame.file) if self._many else self._folder
@@ -284,12 +285,11 @@ def write_layer(
 ) -> None:
     """Write rows of a table as a layer of points, with its columns, to a new GeoPackage."""
     system = define_srs(body.name, body.radius_m)
-    names = layer.names[2:]
     features: list[Feature] = []
     for number, row in enumerate(rows, 1):
         lon, lat = float(str(row["lon_deg"])), float(str(row["lat_deg"]))
         geometry = encode_point(lon, lat, system[0])
-        cells = (row.get("id", number), geometry, *(row.get(name) for name in names))
+        cells = (row.get("id", number), geometry, *(row.get(name) for name in layer.names[2:]))
         features.append((cells, (lon, lat, lon, lat)))
     with open_new_geopackage(path) as db:
         describe_geopackage(db, body.name, body.radius_m, UNDATED)

@@ -17,7 +17,7 @@ from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
-from optnav_cli.frames.tables import PADS
+from optnav_cli.frames.tables import PADS, ROCKS
 from optnav_cli.hazard.job import _sample_catalog
 from optnav_cli.hazard.pads import REFUSED
 from optnav_cli.hazard.slopes import SITE_PADS
@@ -226,6 +226,7 @@ def test_pictures_that_show_too_little_are_refused(
     write_picture(place / "site.tif", picture_of(kind))
     assert run(["hazard", "site.tif", *ALONE, "-o", "out"]) == 4
     assert words in capsys.readouterr().err
+    assert words in ROCKS.rows(place / "out" / "rocks.csv")[0]["reason"]
 
 
 def write_floats(path: Path, values: np.ndarray) -> None:
