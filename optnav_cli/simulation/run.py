@@ -228,7 +228,7 @@ def truth_ground(
 
 def _frame(exposure: Exposure, scenario: ScenarioBase, camera: str, start_s: float) -> Frame:
     attitude = scenario.attitude
-    sigma_m = scenario.prior.position_sigma_m
+    sigma_m = scenario.prior.component_sigma_m
     sigma = None if attitude.free else attitude.sigma_arcsec * ARCSEC
     if scenario.track:
         sigma_m, sigma = scenario.track.compute_row_sigmas(exposure.tdb_s - start_s)

@@ -232,8 +232,10 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         """Attitude of the first camera and position (3,), m, as frames.csv states them."""
         sigma = np.radians(self.attitude.sigma_arcsec / 3600.0)
         slip = np.random.default_rng([self.seed, ATTITUDE, epoch.number]).normal(size=3)
-        noise = np.random.default_rng([self.seed, PRIOR, epoch.number]).normal(size=3)
-        prior = epoch.position_m + self.prior.position_sigma_m * noise
+        rng = np.random.default_rng([self.seed, PRIOR, epoch.number])
+        prior = epoch.position_m + self.prior.position_sigma_m * rng.normal(size=3)
+        if self.prior.along_sigma_m is not msgspec.UNSET:
+            prior = prior + self.prior.along_sigma_m * rng.normal() * epoch.forward
         return Rotation.from_rotvec(sigma * slip) * truth, prior
 
     def mounts(self) -> tuple[sections.MountedCamera, ...]:

@@ -262,11 +262,19 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class PriorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """position_sigma_m: 1 sigma a component of the error added to the prior position.
 
-    given  false: frames.csv tells no position
+    along_sigma_m  1 sigma of a further error along the motion, as of a clock that is off
+    given          false: frames.csv tells no position
     """
 
     position_sigma_m: NotNegative = 3000.0
+    along_sigma_m: NotNegative | msgspec.UnsetType = msgspec.UNSET
     given: bool = True
+
+    @property
+    def component_sigma_m(self) -> float:
+        """1 sigma a component, the error along the motion shared out over the three."""
+        along = 0.0 if self.along_sigma_m is msgspec.UNSET else self.along_sigma_m
+        return math.hypot(self.position_sigma_m, along / math.sqrt(3.0))
 
 
 class AttitudeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -150,6 +150,26 @@ def test_prior_and_attitude_errors_have_the_stated_size(scenario_file: Path):
     assert np.degrees(np.std(turns)) * 3600.0 == pytest.approx(10.0, rel=0.06)
 
 
+def test_a_clock_that_is_off_moves_priors_along_the_motion_alone(scenario_file: Path) -> None:
+    text = SMALL.replace("frames = 2", "frames = 400")
+    motion = AnalyticEphemeris(load_body("moon"))
+    scenario_file.write_text(text)
+    without = load_scenario(scenario_file).exposures(motion)
+    scenario_file.write_text(text + "\n[prior]\nalong_sigma_m = 1630.0\n")
+    scenario = load_scenario(scenario_file)
+    shifts = [
+        after.prior_m - before.prior_m
+        for before, after in zip(without, scenario.exposures(motion), strict=True)
+    ]
+    along = np.array([shift @ s.forward for shift, s in zip(shifts, without, strict=True)])
+    np.testing.assert_allclose(np.linalg.norm(shifts, axis=1), np.abs(along), rtol=1e-6)
+    # 800 numbers: 2.5 % of scatter
+    assert along.std() == pytest.approx(1630.0, rel=0.1)
+    # a covariance alike in all directions holds as much as both errors together
+    total = 3.0 * scenario.prior.component_sigma_m**2
+    assert total == pytest.approx(3.0 * 3000.0**2 + 1630.0**2)
+
+
 @pytest.mark.parametrize("bits", [8, 12])
 def test_the_detector_has_the_stated_signal_to_noise(bits: int):
     flat = np.full((400, 400), 0.04, np.float32)
