@@ -99,7 +99,7 @@ def load_model(path: Path) -> object:
     from optnav_cli.hazard.settings import HazardModel
     from optnav_cli.navigate.descent.state import DescentErrorSizes
     from optnav_cli.orbit.fit.motion import OrbitNoiseSizes
-    from optnav_cli.orbit.fit.shared_errors import SharedErrorSizes
+    from optnav_cli.orbit.fit.parameters import SharedErrorSizes
     from optnav_cli.outline.disc.moments import DiscErrorSizes
     from optnav_cli.outline.limb.limb_rays import HorizonSizes
     from optnav_cli.outline.silhouette.method import SilhouetteErrors

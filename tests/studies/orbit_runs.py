@@ -27,8 +27,8 @@ from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.orbit.fit.evaluate import evaluate_orbit
 from optnav_cli.orbit.fit.job import fit_runs, read_fixes
+from optnav_cli.orbit.fit.parameters import SharedErrorSizes, shared_error_sizes, shared_errors
 from optnav_cli.orbit.fit.settings import OrbitFitSettings
-from optnav_cli.orbit.fit.shared_errors import SharedErrorSizes, shared_error_sizes, shared_errors
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.simulation.scenario import load_scenario
 from tests.studies import flights

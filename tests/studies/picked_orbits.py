@@ -27,8 +27,9 @@ from optnav_cli.orbit.fit.fit import OrbitFit
 from optnav_cli.orbit.fit.folder import read_orbit
 from optnav_cli.orbit.fit.known_orbit import picture_times
 from optnav_cli.orbit.fit.output import write_orbit_folder
+from optnav_cli.orbit.fit.parameters import UNOBSERVED
 from optnav_cli.orbit.fit.predict import OrbitPath
-from optnav_cli.orbit.fit.problem import UNOBSERVED, OrbitFix, OrbitPrior
+from optnav_cli.orbit.fit.problem import OrbitFix, OrbitPrior
 from optnav_cli.orbit.fit.settings import NoiseSettings, OrbitFitSettings, ParameterSettings
 from tests.studies.orbit_fits import OrbitFigure, solved
 from tests.studies.orbit_flights import LENS, TrueFlight, ephemeris_of, every, fly, sight_of

@@ -16,11 +16,12 @@ from catalog.geometry.rotations import ARCSEC
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings, SunlightSettings
 from optnav_cli.navigate.zenith_file import SightPlace, choose_zenith_pair, list_navigation_stars
+from optnav_cli.orbit.fit.fit import OrbitFit
 from optnav_cli.orbit.fit.motion import ArcMotion, rnb_of
 from optnav_cli.orbit.fit.problem import Trajectory
 from optnav_cli.orbit.fit.settings import NoiseSettings, ParameterSettings
 from optnav_cli.orbit.fit.zenith import ZenithSights, zenith_distances
-from optnav_cli.orbit.fit.zenith_fit import ZenithFit, settled, zenith_problem
+from optnav_cli.orbit.fit.zenith_fit import settled, zenith_problem
 from tests.studies.orbit_flights import ephemeris_of, fly
 
 START_UTC = "2017-07-25T09:10:45Z"
@@ -163,7 +164,7 @@ def fit_motion(degree: int = FIT_DEGREE) -> ArcMotion:
 class JudgedFit:
     """A fit against its truth: errors (n, 6) at its nodes, and the true states there."""
 
-    fit: ZenithFit
+    fit: OrbitFit
     errors: FloatArray
     truth: FloatArray
 

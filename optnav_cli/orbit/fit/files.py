@@ -23,9 +23,8 @@ from optnav_cli.orbit.fit.folder import (
 )
 from optnav_cli.orbit.fit.job import read_fixes
 from optnav_cli.orbit.fit.known_orbit import PictureTime, known_orbit, picture_times
-from optnav_cli.orbit.fit.oem import BEGINNING, Oem, write_oem
+from optnav_cli.orbit.fit.oem import BEGINNING, SPK_BEGINNING, Oem, write_oem, write_spk
 from optnav_cli.orbit.fit.predict import OrbitPath, Prediction
-from optnav_cli.orbit.fit.spk import SPK_BEGINNING, write_spk
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.wording import align_table
 

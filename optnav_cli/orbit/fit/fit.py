@@ -1,12 +1,11 @@
-"""Fit an orbit through fixes: a first orbit, the smoother, outliers, and what the residuals say.
+"""Fit an orbit through measurements: a first orbit, the smoother, outliers, and what is left over.
 
 Outliers are judged only after the smoother has converged, all anew each time, by the residual's own
-covariance: R - H P H' of a fix that is used, R + H P H' of one that is left out. Both are the
-chi-square of a fix against all others.
+covariance: R - H P H' of a measurement that is used, R + H P H' of one that is left out. Both are
+the chi-square of one against all others.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -16,11 +15,26 @@ from scipy.special import chdtri
 from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.epochs import DAY_S, utc_from_tdb_s
 from catalog.errors import NoSolutionError
-from optnav_cli.estimation.smoother import LinearArc, SmoothedArc, nuisance, smooth
-from optnav_cli.orbit.fit.first import first_orbit
-from optnav_cli.orbit.fit.missing_forces import MEDIAN_OF_3, FitVerdict, check_pattern, mending
-from optnav_cli.orbit.fit.problem import OrbitProblem, Trajectory, unobserved_remarks
+from optnav_cli.estimation.smoother import SmoothedArc
+from optnav_cli.orbit.fit.first import MIN_FIXES, MIN_SIGHTS, first_states, with_nodes
+from optnav_cli.orbit.fit.missing_forces import (
+    MAX_SCATTER,
+    MEDIAN_OF_1,
+    MEDIAN_OF_3,
+    FitVerdict,
+    check_breaks,
+    check_pattern,
+)
+from optnav_cli.orbit.fit.parameters import unobserved_remarks
+from optnav_cli.orbit.fit.problem import OrbitProblem, Trajectory
 from optnav_cli.orbit.fit.settings import NoiseModel
+from optnav_cli.orbit.fit.solver import (
+    DOUBTED,
+    OrbitSolver,
+    median_ratio,
+    robust_weights,
+    start_fit,
+)
 from optnav_cli.orbit.fit.time_errors import (
     are_whole_seconds,
     lie_within_half_a_second,
@@ -28,20 +42,14 @@ from optnav_cli.orbit.fit.time_errors import (
     with_whole_seconds,
 )
 
-MAX_STEPS, MAX_ROUNDS = 30, 40
-SETTLED, NEAR = 1e-3, 3.0  # sigmas: of a fit, and of a start
-NEAR_WHOLE = 30.0  # of a start with all fixes, after which the fit itself goes on
-# The windows that a first orbit grows over, radians of the motion: 0.7, 2, 5 h about the Moon.
-WINDOWS_RAD = (2.2, 6.4, 16.0, math.inf)
-ROBUST_STEPS, ROBUST_CHI_SQUARE = 8, 25.0
-DOUBTED = 0.05  # weight below which a fix starts the last fit left out
-SWAMPED = 0.3  # of the largest chi-square: what the worst fix may have caused in others
-SHOCK_PROBABILITY = 1e-9
-MIN_FIXES = 3
+MAX_ROUNDS = 40
+SWAMPED = 0.3  # of the largest chi-square: what the worst measurement may have caused in others
 MAX_BETWEEN = 100_000
 # A field and its noise say nothing of a place after so long, and minutes would go into the way.
 MAX_GAP_S = 30.0 * DAY_S
-RUNAWAY_M = 1e12  # of a step: no orbit about a body is so wide
+# Two first orbits whose fits differ by less in chi-square are both the sights'.
+ALIKE = 50.0
+DROPPED = 25.0  # times the chi-square of a fit there is: a first orbit is not followed further
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +63,19 @@ class FixResidual:
 
 
 @dataclass(frozen=True, eq=False)
+class ScalarResidual:
+    """Residuals (n,) of scalar measurements, chi-squares (n,) by their covariances, used (n,)."""
+
+    residual: FloatArray
+    chi_square: FloatArray
+    used: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
 class OrbitFit:
-    """An orbit through fixes.
+    """An orbit through measurements.
+
+    residuals     of the fixes;  looks  of the scalar measurements
 
     covariances   (N, 6, 6) of the states, with what is considered and what is local
     last_covariance  (6 + p, 6 + p) of the last state and the parameters, without what is local:
@@ -71,6 +90,7 @@ class OrbitFit:
     last_covariance: FloatArray
     disturbances: FloatArray
     residuals: list[FixResidual]
+    looks: ScalarResidual
     chi_square: float
     degrees_of_freedom: int
     steps: int
@@ -85,71 +105,25 @@ class OrbitFit:
     @property
     def count(self) -> int:
         """Measurements, those left out among them."""
-        return len(self.residuals)
+        return self.problem.count
+
+    @property
+    def is_used(self) -> BoolArray:
+        """(count,) which of the measurements the orbit rests on."""
+        of_fixes = np.array([residual.used for residual in self.residuals], bool)
+        return np.concatenate([of_fixes, self.looks.used])
 
     @property
     def used(self) -> int:
         """Measurements that the orbit rests on."""
-        return sum(residual.used for residual in self.residuals)
-
-
-class OrbitSolver:
-    """Steps of Gauss and Newton about a trajectory."""
-
-    def __init__(self, problem: OrbitProblem, model: NoiseModel) -> None:
-        self.problem = problem
-        self.solve: Callable[[LinearArc], SmoothedArc] = nuisance if model == "nuisance" else smooth
-        self.steps = 0
-        self.sigmas: FloatArray | None = None
-
-    def of(self, problem: OrbitProblem) -> "OrbitSolver":
-        """Return the solver of a part of the problem."""
-        return OrbitSolver(problem, "white" if self.solve is smooth else "nuisance")
-
-    def step(self, at: Trajectory, weights: FloatArray) -> tuple[Trajectory, SmoothedArc, float]:
-        """The next trajectory, the linear solution, and its longest step in sigmas."""
-        try:
-            arc, _ = self.problem.linearise(at, weights, self.sigmas)
-        except NoSolutionError as error:
-            first, last = _utc(self.problem, 0), _utc(self.problem, -1)
-            raise NoSolutionError(
-                f"the {self.problem.measured} from {first} to {last} fit no one orbit ({error}); "
-                "see that they are of one flight, and fit parts of it"
-            ) from error
-        smoothed = self.solve(arc)
-        self.steps += 1
-        width = self.problem.width
-        deltas = smoothed.deviations[:, :width, 0]
-        if not np.abs(deltas[:, :6]).max() < RUNAWAY_M:
-            text = f"the steps of the fit run away; the {self.problem.measured} fit no orbit"
-            raise NoSolutionError(text)
-        parameters = at.parameters + deltas[-1, 6:]
-        sigmas = np.sqrt(np.maximum(np.diagonal(smoothed.covariances, axis1=1, axis2=2), 1e-300))
-        sigmas = sigmas[:, :width]
-        self.sigmas = sigmas[0, :6]
-        size = float(np.max(np.abs(deltas) / sigmas))
-        return Trajectory(at.states + deltas[:, :6], parameters), smoothed, size
-
-    def settle(self, at: Trajectory, weights: FloatArray) -> tuple[Trajectory, SmoothedArc]:
-        """The trajectory that no step moves. Raises NoSolutionError where there is none."""
-        size = math.inf
-        for _ in range(MAX_STEPS):
-            fresh, before = self.sigmas is None, size
-            at, smoothed, size = self.step(at, weights)
-            # steps near the end shrink by ever smaller shares: the next one is known to be short
-            if not fresh and (size < SETTLED or size * size < SETTLED * min(before, NEAR)):
-                return at, smoothed
-            if not math.isfinite(size):
-                break
-        raise NoSolutionError(
-            f"the fit does not converge: after {MAX_STEPS} steps it still moves by {size:.2g} "
-            f"sigmas; see that the {self.problem.measured} are of one flight and the forces are "
-            "those of this body"
-        )
+        return int(self.is_used.sum())
 
 
 def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -> OrbitFit:
-    """Fit. Raises NoSolutionError where the fixes fit no orbit, with the test that says so."""
+    """Fit. Raises NoSolutionError where no orbit has the measurements, with the test that failed.
+
+    Scalar measurements get their nodes here.
+    """
     try:
         return _fitted(problem, model, gate_probability)
     except NoSolutionError as error:
@@ -175,33 +149,107 @@ def _fit_whole_seconds(problem: OrbitProblem, model: NoiseModel, gate_probabilit
 
 
 def _fitted(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -> OrbitFit:
-    if len(problem.fixes) < MIN_FIXES and not problem.priors:
-        raise NoSolutionError(
-            f"too few fixes: {len(problem.fixes)} leave the orbit open; wanted {MIN_FIXES} or "
-            "more, or a [[prior]]"
-        )
+    _check_enough(problem)
     _check_gaps(problem)
-    problem = with_time_errors(problem, lambda rough: _start(rough, OrbitSolver(rough, model))[0])
-    solver = OrbitSolver(problem, model)
-    at, weights = _start(problem, solver)
-    at, smoothed = solver.settle(at, np.ones(len(weights)))
-    residuals = _residuals(problem, at, smoothed, np.ones(len(weights), bool))
-    _check_breaks(problem, at, smoothed, residuals)
-    used = weights > DOUBTED
-    gate = float(chdtri(3, gate_probability))
+
+    def start_fixes(rough: OrbitProblem) -> Trajectory:
+        fixes = replace(rough, sights=None, tracking=())
+        return start_fit(fixes, OrbitSolver(fixes, model), first_states(fixes)[0])
+
+    problem = with_time_errors(problem, start_fixes)
+    fit = best_fit(problem, model, gate_probability)
+    problem, used = fit.problem, fit.is_used
+    inflation, remarks = check_pattern(problem, fit.trajectory, used, alone=not problem.fixes)
+    remarks += _judge(fit)
+    local = problem.motion.local(fit.trajectory.states)
+    return replace(
+        fit,
+        covariances=inflation * (fit.covariances - local) + local,
+        last_covariance=inflation * fit.last_covariance,
+        remarks=[*_one_star(problem), *remarks, *fit.remarks],
+        inflation=inflation,
+    )
+
+
+def best_fit(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -> OrbitFit:
+    """Find the best fit, before its residuals are judged.
+
+    Raises NoSolutionError where there is none, or two are as good.
+    """
+    begun: list[tuple[float, OrbitSolver, Trajectory]] = []
+    errors: list[NoSolutionError] = []
+    for first in first_states(problem):
+        noded = with_nodes(problem, first[1])
+        least = min((ratio for ratio, *_ in begun), default=math.inf)
+        solver = OrbitSolver(noded, model)
+        try:
+            at = start_fit(noded, solver, first, DROPPED * max(least, 1.0))
+        except NoSolutionError as error:
+            if not problem.sets:
+                raise
+            text = (
+                f"the {problem.measured} fit no one orbit ({error}); see that they are of one "
+                "flight"
+            )
+            errors.append(NoSolutionError(text))
+            continue
+        begun.append((median_ratio(noded, at), solver, at))
+        if len(_stars(problem)) > 2 and begun[-1][0] < MAX_SCATTER**2:
+            break
+    fits: list[OrbitFit] = []
+    for ratio, solver, at in sorted(begun, key=lambda start: start[0]):
+        if fits and ratio > DROPPED * max(median_ratio(fits[0].problem, fits[0].trajectory), 1.0):
+            break
+        try:
+            fits.append(settle_fit(solver, at, gate_probability))
+        except NoSolutionError as error:
+            if not problem.sets:
+                raise
+            errors.append(error)
+    if not fits:
+        text = f"the {problem.measured} fit no orbit; state a [[prior]]"
+        raise errors[0] if errors else NoSolutionError(text)
+    fits.sort(key=lambda fit: (fit.count - fit.used, fit.chi_square))
+    best = fits[0]
+    for other in fits[1:]:
+        apart = np.abs(other.trajectory.states[-1] - best.trajectory.states[-1])[:3].max()
+        far = apart > 0.01 * float(np.linalg.norm(best.trajectory.states[-1, :3]))
+        if far and other.used == best.used and other.chi_square < best.chi_square + ALIKE:
+            raise NoSolutionError(
+                "two orbits have these zenith distances, mirrored in the plane of "
+                f"{' and '.join(_stars(problem))}: which of them is not observed; add sights of "
+                "a third star, or state a [[prior]]"
+            )
+    return best
+
+
+def settle_fit(solver: OrbitSolver, at: Trajectory, gate_probability: float) -> OrbitFit:
+    """Fit from a trajectory near it, outliers left out; remarks on unobserved parameters alone.
+
+    Raises NoSolutionError where the steps do not converge, and for fixes of two flights.
+    """
+    problem = solver.problem
+    if not problem.fixes:
+        solver = solver.of(problem)
+    used = robust_weights(problem, at) > DOUBTED
+    every = np.ones(problem.count, bool)
+    if not problem.sets:
+        at, smoothed = solver.settle(at, every.astype(np.float64))
+        residuals, looks = _residuals(problem, at, smoothed, every)
+        check_breaks(problem, at, smoothed, max(r.chi_square for r in residuals))
+    gates = float(chdtri(3, gate_probability)), float(chdtri(1, gate_probability))
     seen: set[bytes] = set()
     for number in range(MAX_ROUNDS):
-        if number or not used.all():  # all of them are solved above
+        if number or problem.sets or not used.all():  # all fixes alone are solved above
             at, smoothed = solver.settle(at, used.astype(np.float64))
-            residuals = _residuals(problem, at, smoothed, used)
-        judged = _judged(residuals, gate)
+            residuals, looks = _residuals(problem, at, smoothed, used)
+        judged = _judged(residuals, looks, gates)
         if (judged == used).all() or judged.tobytes() in seen:
             break
         seen.add(used.tobytes())
         used = judged
-    inflation, remarks = check_pattern(problem, at, used, alone=False)
-    remarks += _judge(problem, smoothed, residuals)
-    covariances = inflation * with_considered(problem, at, smoothed, used, solver)
+    covariances = with_considered(problem, at, smoothed, used, solver)
+    count = len(problem.fixes)
     return OrbitFit(
         problem,
         at,
@@ -209,18 +257,58 @@ def _fitted(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -
         covariances[-1, : problem.width, : problem.width],
         smoothed.disturbances[:, :6, 0],
         residuals,
-        smoothed.chi_square,
-        _freedom(problem, smoothed),
+        looks,
+        smoothed.chi_square + problem.left_over(at, used.astype(np.float64)),
+        # parameters have priors, and so has the state where one is stated
+        3 * int(used[:count].sum()) + int(used[count:].sum()) + 6 * len(problem.priors) - 6,
         solver.steps,
-        [*remarks, *unobserved_remarks(problem, covariances[-1, 6:, 6:])],
-        inflation,
+        unobserved_remarks(problem.estimated, covariances[-1, 6:, 6:]),
     )
 
 
+def _stars(problem: OrbitProblem) -> tuple[str, ...]:
+    """Names of the stars that there are sights of."""
+    return problem.sights.stars_used if problem.sights is not None else ()
+
+
+def _one_star(problem: OrbitProblem) -> list[str]:
+    stars = _stars(problem)
+    if len(stars) != 1 or problem.fixes or problem.tracking:
+        return []
+    return [
+        f"all zenith distances are of one star, {stars[0]}: the orbit's turn about the "
+        "direction to it is not observed, and is that of the prior"
+    ]
+
+
+def _check_enough(problem: OrbitProblem) -> None:
+    """Raise NoSolutionError for measurements that leave an orbit open whatever they are."""
+    if problem.priors or len(problem.fixes) >= MIN_FIXES:
+        return
+    sights, stars = problem.sights, _stars(problem)
+    if sights is None or not len(sights):
+        raise NoSolutionError(
+            f"too few fixes: {len(problem.fixes)} leave the orbit open; wanted {MIN_FIXES} or "
+            "more, or a [[prior]]"
+        )
+    if len(stars) == 1:
+        raise NoSolutionError(
+            f"all zenith distances are of one star, {stars[0]}: the orbit's turn about "
+            "the direction to it is not observed; add sights of a second star, or state a [[prior]]"
+        )
+    if len(sights) < MIN_SIGHTS:
+        raise NoSolutionError(
+            f"too few zenith distances: {len(sights)} leave the orbit open; wanted {MIN_SIGHTS} or "
+            "more, or a [[prior]]"
+        )
+
+
 def _check_gaps(problem: OrbitProblem) -> None:
-    """Raise NoSolutionError for a fix or a prior far from the others in time."""
+    """Raise NoSolutionError for a measurement or a prior far from the others in time."""
     named = [(fix.tdb_s, fix.file) for fix in problem.fixes]
     named += [(prior.tdb_s, "the prior") for prior in problem.priors]
+    for part in problem.sets:
+        named += [(float(time), f"one of the {part.measured}") for time in part.epochs[:, 0]]
     named.sort()
     for (before_s, before), (after_s, after) in pairwise(named):
         if after_s - before_s > MAX_GAP_S:
@@ -231,73 +319,9 @@ def _check_gaps(problem: OrbitProblem) -> None:
             )
 
 
-def _start(problem: OrbitProblem, solver: OrbitSolver) -> tuple[Trajectory, FloatArray]:
-    """A trajectory near enough, and the weights of the fixes that it ends with."""
-    times, parameters = problem.times, np.zeros(problem.width - 6)
-    node, state = first_orbit(problem)
-    states = np.empty((len(times), 6))
-    states[node] = state
-    weights = np.zeros(len(problem.fixes))
-    radian = problem.motion.radian_s(state[:3])
-    low = high = node
-    before: OrbitSolver | None = None
-    windows = (math.inf,) if problem.priors else WINDOWS_RAD
-    for window in windows:
-        near = np.flatnonzero(np.abs(times - times[node]) <= window * radian)
-        had = low
-        low, high = _lengthen(problem, states, (low, high), (int(near[0]), int(near[-1])))
-        part = problem.part(low, high)
-        inner = solver if part is problem else solver.of(part)
-        if before is not None and low == had:
-            # else the first state is open by so many sigmas that covariances lose their digits
-            inner.sigmas = before.sigmas
-        before = inner
-        here = [k for k, i in enumerate(problem.node_of) if low <= i <= high]
-        at = Trajectory(states[low : high + 1], parameters)
-        for _ in range(ROBUST_STEPS):
-            robust_weights = _robust(part, at)
-            if part is problem and robust_weights.min() > DOUBTED:
-                break  # none of them is doubted: the fit itself goes on, with all of them
-            at, _, size = inner.step(at, robust_weights)
-            if not np.isfinite(at.states).all():
-                raise NoSolutionError("the fixes fit no orbit of these forces")
-            if size < (NEAR_WHOLE if part is problem else NEAR):
-                break
-        states[low : high + 1], parameters = at.states, at.parameters
-        weights[here] = _robust(part, at)
-        if low == 0 and high == len(times) - 1:
-            break
-    return Trajectory(states, parameters), weights
-
-
-def _lengthen(
-    problem: OrbitProblem, states: FloatArray, had: tuple[int, int], wanted: tuple[int, int]
-) -> tuple[int, int]:
-    """Fill the states of further nodes by the motion from the ends of those there are."""
-    times = problem.times
-    for end, nodes in (
-        (had[1], range(had[1] + 1, wanted[1] + 1)),
-        (had[0], range(wanted[0], had[0])),
-    ):
-        if len(nodes):
-            start = float(times[end])
-            states[list(nodes)] = problem.motion.path(states[end], start, times[list(nodes)])
-    return min(had[0], wanted[0]), max(had[1], wanted[1])
-
-
-def _robust(problem: OrbitProblem, at: Trajectory) -> FloatArray:
-    """Weights that let a fix far from the trajectory count little."""
-    weights = np.empty(len(problem.fixes))
-    for number, fix in enumerate(problem.fixes):
-        residual = problem.measure(number, at)[0]
-        chi_square = float(residual @ np.linalg.solve(fix.covariance_m2, residual))
-        weights[number] = 1.0 / (1.0 + chi_square / ROBUST_CHI_SQUARE)
-    return weights
-
-
 def _residuals(
     problem: OrbitProblem, at: Trajectory, found: SmoothedArc, used: BoolArray
-) -> list[FixResidual]:
+) -> tuple[list[FixResidual], ScalarResidual]:
     residuals = []
     for number, fix in enumerate(problem.fixes):
         residual, design, _ = problem.measure(number, at)
@@ -314,88 +338,62 @@ def _residuals(
         along = axes[:, kept].T @ (residual - common)
         chi_square = float((along**2 / values[kept]).sum())
         residuals.append(FixResidual(residual, covariance, chi_square, bool(used[number])))
-    return residuals
+    return residuals, _scalar_residuals(problem, at, found, used[len(problem.fixes) :])
 
 
-def _judged(residuals: list[FixResidual], gate: float) -> BoolArray:
-    """Which fixes to use: those within the gate, and those that a worse one may have moved."""
-    worst = max((r.chi_square for r in residuals if r.used), default=0.0)
-    limit = max(gate, SWAMPED * worst)
-    return np.array([r.chi_square < (limit if r.used else gate) for r in residuals])
+def _scalar_residuals(
+    problem: OrbitProblem, at: Trajectory, found: SmoothedArc, used: BoolArray
+) -> ScalarResidual:
+    if not problem.sets:
+        return ScalarResidual(np.empty(0), np.empty(0), used)
+    rows, variances = problem.rows(at), problem.scalars.sigmas**2
+    width = problem.width
+    spread = found.covariances[problem.scalars.node_of][:, :width, :width]
+    orbit = (rows.design[:, None] @ spread @ rows.design[:, :, None])[:, 0, 0]
+    # of one that alone holds the orbit nothing is left to judge it by
+    left = np.maximum(np.where(used, variances - orbit, variances + orbit), 1e-6 * variances)
+    return ScalarResidual(rows.residuals, rows.residuals**2 / left, used)
 
 
-def _check_breaks(
-    problem: OrbitProblem, at: Trajectory, found: SmoothedArc, residuals: list[FixResidual]
-) -> None:
-    """Raise NoSolutionError where the fixes before and after a time are of two orbits.
+def _judged(
+    residuals: list[FixResidual], looks: ScalarResidual, gates: tuple[float, float]
+) -> BoolArray:
+    """Which to use: those within the gate, and those that a worse one may have moved.
 
-    The adjoint state of an interval tests a shock there: with three numbers a manoeuvre, with six
-    another flight (de Jong and Penzer, "Diagnosing shocks in time series", 1998).
+    gates  of the chi-squares of fixes, and of scalar measurements
     """
-    if not found.information.size:
-        return
-    single = max(r.chi_square for r in residuals)
-    limit = 2.0 * single + float(chdtri(3, SHOCK_PROBABILITY / max(len(found.scores), 1)))
-    best: tuple[float, int, FloatArray, float] | None = None
-    for i, (score, info) in enumerate(zip(found.scores, found.information, strict=True)):
-        kick = -_solved(info[3:6, 3:6], score[3:6])
-        jump = -_solved(info[:6, :6], score[:6])
-        by_kick, by_all = -float(kick @ score[3:6]), -float(jump @ score[:6])
-        if best is None or by_all > best[0]:
-            best = by_all, i, jump, by_kick
-    if best is None or best[0] < limit:
-        return
-    chi_square, i, shock, by_kick = best
-    mends, forces = mending(problem, at, np.ones(len(residuals), bool))
-    when = f"between {_utc(problem, i)} and {_utc(problem, i + 1)}"
-    if by_kick > 0.5 * chi_square and by_kick > limit:
-        speed = float(np.linalg.norm(_solved(found.information[i][3:6, 3:6], found.scores[i][3:6])))
-        broken = (
-            f"a manoeuvre {when}: the velocity changes by {speed:.3g} m/s there (chi-square "
-            f"{by_kick:.0f} of 3); describe it as [[forces.thrust]], or fit each part by itself"
-        )
-    else:
-        apart = float(np.linalg.norm(shock[:3]))
-        broken = (
-            f"the arc does not close: {when} the orbit jumps by {apart / 1e3:.3g} km and "
-            f"{np.linalg.norm(shock[3:]):.3g} m/s (chi-square {chi_square:.0f} of 6); the fixes "
-            "are of two flights or bodies, or the craft has manoeuvred: fit each part by itself"
-        )
-    if mends:
-        raise NoSolutionError(f"the forces lack something: {forces}. If not that, {broken}")
-    raise NoSolutionError(f"{broken}. Of forces left out {forces}")
+    squares = np.concatenate([[r.chi_square for r in residuals], looks.chi_square])
+    used = np.concatenate([np.array([r.used for r in residuals], bool), looks.used])
+    gate = np.repeat(gates, (len(residuals), len(looks.used)))
+    worst = float(squares[used].max(initial=0.0))
+    judged: BoolArray = squares < np.where(used, np.maximum(gate, SWAMPED * worst), gate)
+    return judged
 
 
-def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve along the directions of a positive matrix that are known to some digits."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    values, axes = np.linalg.eigh(matrix * np.outer(scale, scale))
-    kept = values > 1e-10 * max(float(values[-1]), 1e-300)
-    inner = axes[:, kept]
-    solved: FloatArray = scale * (inner @ ((inner.T @ (scale * right)) / values[kept]))
-    return solved
-
-
-def _judge(problem: OrbitProblem, found: SmoothedArc, residuals: list[FixResidual]) -> list[str]:
-    """Remarks on model and noise. Raises NoSolutionError where the residuals refute them."""
-    judged = FitVerdict(
-        "fixes",
-        np.array([r.chi_square for r in residuals]),
-        MEDIAN_OF_3,
-        np.array([r.used for r in residuals]),
-        found.chi_square,
-        _freedom(problem, found),
+def _judge(fit: OrbitFit) -> list[str]:
+    """Remarks on measurements and noise. Raises NoSolutionError where the residuals refute them."""
+    problem, verdicts = fit.problem, []
+    total = fit.chi_square, fit.degrees_of_freedom
+    if fit.residuals or not problem.sets:
+        squares = np.array([r.chi_square for r in fit.residuals])
+        used = np.array([r.used for r in fit.residuals])
+        verdicts.append(FitVerdict("fixes", squares, MEDIAN_OF_3, used, *total))
+    for part, here in zip(problem.sets, problem.scalars.spans, strict=True):
+        squares, used = fit.looks.chi_square[here], fit.looks.used[here]
+        verdicts.append(FitVerdict(part.measured, squares, MEDIAN_OF_1, used, *total))
+    advice = (
+        "their sigmas are too small, or forces are lacking ([forces] degree, sunlight)",
+        "they are",
     )
-    return judged.remarks(
-        "their covariances are too small, forces are lacking ([forces] degree), or [noise] "
-        "density_m2_s3 is too small",
-        "the covariances of fixes or the noise are",
-    )
-
-
-def _freedom(problem: OrbitProblem, found: SmoothedArc) -> int:
-    # parameters have priors, and so has the state where one is stated
-    return found.count - 6
+    if fit.residuals or not problem.sets:
+        advice = (
+            "their covariances are too small, forces are lacking ([forces] degree), or [noise] "
+            "density_m2_s3 is too small",
+            "the covariances of fixes or the noise are",
+        )
+    for verdict in verdicts[1:]:
+        verdict.refute(advice[0])
+    return replace(verdicts[0], what=problem.measured).remarks(*advice)
 
 
 def with_considered(
@@ -415,25 +413,31 @@ def with_considered(
 
 
 def densify(fit: OrbitFit, step_s: float) -> OrbitFit:
-    """Return the orbit with nodes between the fixes, no farther apart than a step."""
-    problem, times = fit.problem, fit.problem.times
-    marks = np.arange(math.ceil(times[0] / step_s), math.floor(times[-1] / step_s) + 1) * step_s
-    if len(marks) > MAX_BETWEEN:
-        raise NoSolutionError(
-            f"{len(marks)} rows of {step_s:g} s are more than {MAX_BETWEEN}; set a longer step_s"
-        )
-    dense = replace(problem, between=marks)
+    """Return the orbit with further nodes, no farther apart than a step."""
+    problem, at = fit.problem, fit.trajectory
+    times = problem.times
+    if problem.fixes:
+        first, last = math.ceil(times[0] / step_s), math.floor(times[-1] / step_s)
+        if last - first >= MAX_BETWEEN:
+            raise NoSolutionError(
+                f"{last - first + 1} rows of {step_s:g} s are more than {MAX_BETWEEN}; set a "
+                "longer step_s"
+            )
+        marks = np.arange(first, last + 1) * step_s
+        dense = replace(problem, between=np.concatenate([problem.between, marks]))
+    else:
+        dense = with_nodes(problem, at.states[0], step_s)
+        if len(dense.times) <= len(times):
+            return fit
+    before = np.clip(np.searchsorted(times, dense.times + 1e-6, "right") - 1, 0, None)
     states = np.empty((len(dense.times), 6))
-    nodes = np.searchsorted(dense.times, times - 1e-6)
-    states[nodes] = fit.trajectory.states
-    for k, node in enumerate(nodes[:-1]):
-        inner = list(range(node + 1, nodes[k + 1]))
-        if inner:
-            start = float(times[k])
-            states[inner] = problem.motion.path(states[node], start, dense.times[inner])
-    solver = OrbitSolver(dense, "white")
-    used = np.array([r.used for r in fit.residuals])
-    at, smoothed = solver.settle(Trajectory(states, fit.trajectory.parameters), used.astype(float))
+    motion = problem.motion_at(at)
+    for node in np.unique(before):
+        here = before == node
+        start = float(times[node])
+        states[here] = motion.path(at.states[node], start, dense.times[here])
+    solver, used = OrbitSolver(dense, "white"), fit.is_used
+    at, smoothed = solver.settle(Trajectory(states, at.parameters), used.astype(np.float64))
     covariances = fit.inflation * with_considered(dense, at, smoothed, used, solver)
     return replace(
         fit,
@@ -442,7 +446,3 @@ def densify(fit: OrbitFit, step_s: float) -> OrbitFit:
         covariances=covariances[:, :6, :6] + problem.motion.local(at.states),
         last_covariance=covariances[-1, : dense.width, : dense.width],
     )
-
-
-def _utc(problem: OrbitProblem, node: int) -> str:
-    return utc_from_tdb_s(float(problem.times[node]), 0)

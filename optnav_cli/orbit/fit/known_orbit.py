@@ -24,11 +24,10 @@ from catalog.geometry.rotations import rnb_axes
 from catalog.inputs import MEGABYTE, read_input
 from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
 from optnav_cli.orbit.fit.folder import body_fixed_state, read_orbit, stated_turn
-from optnav_cli.orbit.fit.oem import BEGINNING
+from optnav_cli.orbit.fit.oem import BEGINNING, SPK_BEGINNING
 from optnav_cli.orbit.fit.oem_reader import read_oem
 from optnav_cli.orbit.fit.predict import OrbitPath
 from optnav_cli.orbit.fit.problem import OrbitFix
-from optnav_cli.orbit.fit.spk import SPK_BEGINNING
 
 STEP_RAD = 0.05  # between places of the path: between them it is known to 3 cm at 100 km
 # Two of the three components of a fix are left once the time is chosen.

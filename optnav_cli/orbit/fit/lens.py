@@ -19,7 +19,7 @@ from optnav_cli.fix import Fix, Method, Solution
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.points import POINTS_CSV
 from optnav_cli.orbit.fit.fit import OrbitFit
-from optnav_cli.orbit.fit.problem import UNOBSERVED
+from optnav_cli.orbit.fit.parameters import UNOBSERVED
 from optnav_cli.orbit.fit.settings import OrbitFitSettings, ParameterSettings
 from optnav_cli.output.run_folder import CAMERAS, RunFolder
 from optnav_cli.points.method import PickedFrames

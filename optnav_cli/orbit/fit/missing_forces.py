@@ -13,13 +13,14 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
-from scipy.special import chdtrc, fdtrc
+from scipy.special import chdtrc, chdtri, fdtrc
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
+from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import ConfigError, DataError, NoSolutionError
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.left_out import forces_left_out
-from optnav_cli.estimation.smoother import smooth
+from optnav_cli.estimation.smoother import SmoothedArc, smooth
 from optnav_cli.orbit.fit.problem import OrbitProblem, Trajectory
 from optnav_cli.orbit.fit.settings import ParameterSettings
 
@@ -35,7 +36,9 @@ STEPS = 3  # of Gauss and Newton with a force more, from a fit that is near
 SUNLIGHT_SIGMA = 10.0  # m^2/kg: an open prior; sails have 0.2
 ACCELERATION_SIGMA = 1e-3  # m/s^2
 MEDIAN_OF_1, MEDIAN_OF_3 = 0.455, 2.366  # of a chi-square of one number, of three
+REFUTED = "the residuals refute the fit"
 REFUTED_PROBABILITY = 1e-6
+SHOCK_PROBABILITY = 1e-9  # of a manoeuvre or a jump by chance
 MAX_LEFT_OUT = 1.0 / 3.0
 MAX_SCATTER = 3.0  # times the stated sigmas, of the middle measurement
 # Of the residuals to their sigmas; beyond it they refute the fit, below it is a remark: what stands
@@ -267,6 +270,61 @@ def _solve(problem: OrbitProblem, at: Trajectory, used: BoolArray, steps: int) -
     return _Solved(at, chi_square, (*problem.standardised(at, smoothed, used), revolution_s))
 
 
+def check_breaks(problem: OrbitProblem, at: Trajectory, found: SmoothedArc, worst: float) -> None:
+    """Raise NoSolutionError where the fixes before and after a time are of two orbits.
+
+    The adjoint state of an interval tests a shock there: with three numbers a manoeuvre, with six
+    another flight (de Jong and Penzer, "Diagnosing shocks in time series", 1998).
+
+    worst  largest chi-square of a fix
+    """
+    if not found.information.size:
+        return
+    limit = 2.0 * worst + float(chdtri(3, SHOCK_PROBABILITY / max(len(found.scores), 1)))
+    best: tuple[float, int, FloatArray, float] | None = None
+    for i, (score, info) in enumerate(zip(found.scores, found.information, strict=True)):
+        kick = -_solved(info[3:6, 3:6], score[3:6])
+        jump = -_solved(info[:6, :6], score[:6])
+        by_kick, by_all = -float(kick @ score[3:6]), -float(jump @ score[:6])
+        if best is None or by_all > best[0]:
+            best = by_all, i, jump, by_kick
+    if best is None or best[0] < limit:
+        return
+    chi_square, i, shock, by_kick = best
+    mends, forces = mending(problem, at, np.ones(len(problem.fixes), bool))
+    when = f"between {_utc(problem, i)} and {_utc(problem, i + 1)}"
+    if by_kick > 0.5 * chi_square and by_kick > limit:
+        speed = float(np.linalg.norm(_solved(found.information[i][3:6, 3:6], found.scores[i][3:6])))
+        broken = (
+            f"a manoeuvre {when}: the velocity changes by {speed:.3g} m/s there (chi-square "
+            f"{by_kick:.0f} of 3); describe it as [[forces.thrust]], or fit each part by itself"
+        )
+    else:
+        apart = float(np.linalg.norm(shock[:3]))
+        broken = (
+            f"the arc does not close: {when} the orbit jumps by {apart / 1e3:.3g} km and "
+            f"{np.linalg.norm(shock[3:]):.3g} m/s (chi-square {chi_square:.0f} of 6); the fixes "
+            "are of two flights or bodies, or the craft has manoeuvred: fit each part by itself"
+        )
+    if mends:
+        raise NoSolutionError(f"the forces lack something: {forces}. If not that, {broken}")
+    raise NoSolutionError(f"{broken}. Of forces left out {forces}")
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve along the directions of a positive matrix that are known to some digits."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, axes = np.linalg.eigh(matrix * np.outer(scale, scale))
+    kept = values > 1e-10 * max(float(values[-1]), 1e-300)
+    inner = axes[:, kept]
+    solved: FloatArray = scale * (inner @ ((inner.T @ (scale * right)) / values[kept]))
+    return solved
+
+
+def _utc(problem: OrbitProblem, node: int) -> str:
+    return utc_from_tdb_s(float(problem.times[node]), 0)
+
+
 @dataclass(frozen=True, eq=False)
 class FitVerdict:
     """The residuals of an orbit's fit.
@@ -284,31 +342,38 @@ class FitVerdict:
     chi_square: float
     freedom: int
 
+    def refute(self, advice: str) -> None:
+        """Raise NoSolutionError where the middle residual, or too many, disagree with the others.
+
+        advice  what may be wrong
+        """
+        count = len(self.used)
+        scatter = math.sqrt(float(np.median(self.chi_squares)) / self.median)
+        if scatter > MAX_SCATTER:
+            raise NoSolutionError(
+                f"{REFUTED}: the middle one of {count} {self.what} lies {scatter:.3g} times its "
+                f"sigma from the orbit of the others; {advice}"
+            )
+        out = int(np.count_nonzero(~self.used))
+        if out > MAX_LEFT_OUT * count:
+            raise NoSolutionError(
+                f"{REFUTED}: {out} of {count} {self.what} would be left out; {advice}"
+            )
+
     def remarks(self, advice: str, sized: str) -> list[str]:
         """Write the remarks about a fit that stands.
 
         advice  what may be wrong where it does not;  sized  whose size the scatter tells of
         Raises NoSolutionError where the residuals refute the fit.
         """
-        refuted, count = "the residuals refute the fit", len(self.used)
-        scatter = math.sqrt(float(np.median(self.chi_squares)) / self.median)
-        if scatter > MAX_SCATTER:
-            raise NoSolutionError(
-                f"{refuted}: the middle one of {count} {self.what} lies {scatter:.3g} times its "
-                f"sigma from the orbit of the others; {advice}"
-            )
-        out = int(np.count_nonzero(~self.used))
-        if out > MAX_LEFT_OUT * count:
-            raise NoSolutionError(
-                f"{refuted}: {out} of {count} {self.what} would be left out; {advice}"
-            )
+        self.refute(advice)
         if self.freedom <= 0:
             return [f"the {self.what} leave nothing to test the orbit by"]
         ratio = math.sqrt(self.chi_square / self.freedom)
         probability = float(chdtrc(self.freedom, self.chi_square))
         if probability < REFUTED_PROBABILITY and ratio > MAX_RATIO:
             raise NoSolutionError(
-                f"{refuted}: chi-square {self.chi_square:.0f} of {self.freedom}, {ratio:.2f} times "
+                f"{REFUTED}: chi-square {self.chi_square:.0f} of {self.freedom}, {ratio:.2f} times "
                 f"the stated sigmas; {advice}"
             )
         if min(probability, 1.0 - probability) < REFUTED_PROBABILITY:

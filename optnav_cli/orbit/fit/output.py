@@ -31,7 +31,7 @@ from optnav_cli.orbit.fit.folder import (
 )
 from optnav_cli.orbit.fit.motion import rnb_of
 from optnav_cli.orbit.fit.oem import Oem, write_oem
-from optnav_cli.orbit.fit.problem import UNOBSERVED
+from optnav_cli.orbit.fit.parameters import UNOBSERVED
 from optnav_cli.orbit.fit.settings import UNITS, OrbitFitSettings
 from optnav_cli.output.recording import Recording
 from optnav_cli.output.wording import align_table, format_length

@@ -19,7 +19,7 @@ from catalog.errors import DataError, NoSolutionError
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.orbit.fit.folder import Kind, OrbitRows, StoredOrbit, stated_turn
 from optnav_cli.orbit.fit.motion import ArcMotion
-from optnav_cli.orbit.fit.settings import OF_FIXES
+from optnav_cli.orbit.fit.settings import OF_MEASUREMENTS
 
 LOOK_RAD = 0.05  # between places that are held against the surface: 0.6 km of height at most
 LOOKS_AT_ONCE = 500
@@ -216,14 +216,14 @@ def _with_parameters(
     taken, alone, column = list(range(6)), [], 6
     for parameter in orbit.parameters:
         count = len(parameter.value)
-        estimated, moves = parameter.mode == "estimate", parameter.name not in OF_FIXES
+        estimated, moves = parameter.mode == "estimate", parameter.name not in OF_MEASUREMENTS
         if estimated and moves:
             added[parameter.name] = np.array(parameter.value)
             names.append(parameter.name)
             taken += range(column, column + count)
         column += count if estimated else 0
     for parameter in orbit.parameters:
-        if parameter.mode == "consider" and parameter.name not in OF_FIXES:
+        if parameter.mode == "consider" and parameter.name not in OF_MEASUREMENTS:
             names.append(parameter.name)
             alone.append(np.eye(len(parameter.value)) * parameter.prior_sigma**2)
     for number, arc in enumerate(forces.settings.thrust, start=1):

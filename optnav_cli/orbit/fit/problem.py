@@ -7,7 +7,7 @@ distance times s along the line of sight.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
@@ -15,21 +15,24 @@ from scipy.linalg import block_diag, solve_triangular
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.geometry.vectors import unit
-from optnav_cli.dynamics.forces import THRUST
 from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement, SmoothedArc
 from optnav_cli.orbit.fit.motion import ArcMotion, rnb_of
-from optnav_cli.orbit.fit.settings import OF_FIXES, PRIOR_SIGMAS, ParameterSettings
-from optnav_cli.orbit.fit.shared_errors import SharedErrorSizes, shared_errors
+from optnav_cli.orbit.fit.parameters import (
+    SIZES,
+    FitParameter,
+    SharedErrorSizes,
+    parameters_of,
+    shared_errors,
+)
+from optnav_cli.orbit.fit.scalars import ScalarArc, ScalarRows, ScalarSet
+from optnav_cli.orbit.fit.settings import ParameterSettings
+from optnav_cli.orbit.fit.zenith import ZenithSights
 
 SAME_TIME_S = 1e-3  # fixes of one node
-# Numbers of a parameter; others have one.
-SIZES = {"map_offset": 3, "acceleration": 3, "vertical": 2}
 # Of the first state where no prior states one: a share of the distance, but no more sigmas of a fix
 # than leave the covariance digits; once the state's own sigmas are known, so many of these. About
 # the state of the step before, so it moves no orbit.
 OPEN_SHARE, OPEN_SIGMAS, OPEN_AGAIN = 0.1, 1e4, 1e3
-UNOBSERVED = 0.9  # of the prior's sigma
-AXES_OF = {"vertical": "NB"}  # of parameters of which one axis may be open and another not
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,60 +74,6 @@ class OrbitPrior:
 
 
 @dataclass(frozen=True, eq=False)
-class FitParameter:
-    """A number, or three, common to fixes or to the arc.
-
-    name        of the settings; of an arc of thrust thrust_1 and so on
-    first       place of its first number among those estimated, or among those considered
-    covariance  (size, size) before the fixes are looked at
-    """
-
-    name: str
-    settings: ParameterSettings
-    first: int
-    covariance: FloatArray
-
-    @property
-    def size(self) -> int:
-        return len(self.covariance)
-
-    @property
-    def span(self) -> slice:
-        return slice(self.first, self.first + self.size)
-
-    def applies(self, fix: OrbitFix) -> bool:
-        """Whether a fix depends on it directly."""
-        wanted = self.settings
-        mine = wanted.camera in ("", fix.camera) and wanted.run in ("", fix.run)
-        return wanted.name in OF_FIXES and mine
-
-
-def parameters_of(
-    settings: Sequence[ParameterSettings],
-    thrusts: Sequence[FloatArray],
-    sizes: Mapping[str, int] = SIZES,
-) -> tuple[list[FitParameter], list[FitParameter]]:
-    """Those estimated and those considered, each with its place.
-
-    thrusts  covariances (3, 3) of the arcs of thrust, which are estimated too
-    sizes    how many numbers a parameter has; 1 where not named
-    """
-    by_mode: dict[str, list[FitParameter]] = {"estimate": [], "consider": []}
-    ends = dict.fromkeys(by_mode, 0)
-    every: list[tuple[str, ParameterSettings, FloatArray]] = [
-        (setting.name, setting, np.eye(sizes.get(setting.name, 1)) * setting.sigma**2)
-        for setting in settings
-    ]
-    for number, covariance in enumerate(thrusts, start=1):
-        every.append((f"{THRUST}{number}", ParameterSettings("acceleration"), covariance))
-    for name, setting, covariance in every:
-        parameter = FitParameter(name, setting, ends[setting.mode], covariance)
-        ends[setting.mode] += parameter.size
-        by_mode[setting.mode].append(parameter)
-    return by_mode["estimate"], by_mode["consider"]
-
-
-@dataclass(frozen=True, eq=False)
 class Trajectory:
     """States (N, 6) of the nodes, inertial, and the parameters (p,) estimated."""
 
@@ -134,9 +83,10 @@ class Trajectory:
 
 @dataclass(eq=False)
 class OrbitProblem:
-    """Fixes in the order of time, with their nodes.
+    """Measurements of an arc: fixes with their nodes, and scalar ones between nodes.
 
-    between  (n,) TDB s: further times that are nodes
+    between   (n,) TDB s: further times that are nodes; with scalar ones they span these
+    sights    zenith distances;  tracking  further sets of scalar measurements
     shared_sizes  of what near fixes have in common; None: those that ship
 
     A linear arc has the state, the parameters estimated and, last, the numbers that near fixes have
@@ -150,6 +100,8 @@ class OrbitProblem:
     radius_m: float
     between: FloatArray = field(default_factory=lambda: np.empty(0))
     shared_sizes: SharedErrorSizes | None = None
+    sights: ZenithSights | None = field(default=None, kw_only=True)
+    tracking: Sequence[ScalarSet] = field(default=(), kw_only=True)
     times: FloatArray = field(init=False)
     node_of: list[int] = field(init=False)
     prior_nodes: list[int] = field(init=False)
@@ -167,6 +119,7 @@ class OrbitProblem:
         near = np.array(times or [np.inf])
         free = [float(time) for time in self.between if np.abs(near - time).min() > SAME_TIME_S]
         self.times = np.sort(np.array([*times, *free]))
+        self.scalars = ScalarArc(self.sets, self.times)
         self.node_of = [self._node(fix.tdb_s) for fix in self.fixes]
         self.prior_nodes = [self._node(prior.tdb_s) for prior in self.priors]
         ephemeris = self.ephemeris
@@ -186,7 +139,19 @@ class OrbitProblem:
     @property
     def measured(self) -> str:
         """Name of the measurements that the orbit is fitted to."""
-        return "fixes"
+        names = ["fixes"] if self.fixes or not self.sets else []
+        return " and ".join(dict.fromkeys([*names, *(part.measured for part in self.sets)]))
+
+    @property
+    def sets(self) -> tuple[ScalarSet, ...]:
+        """The sets of scalar measurements."""
+        every = (self.sights, *self.tracking)
+        return tuple(part for part in every if part is not None and len(part))
+
+    @property
+    def count(self) -> int:
+        """Number of measurements: fixes, then scalar ones."""
+        return len(self.fixes) + len(self.scalars)
 
     @property
     def ephemeris(self) -> Ephemeris:
@@ -195,7 +160,10 @@ class OrbitProblem:
     @property
     def sizes(self) -> Mapping[str, int]:
         """Number of components of each parameter; 1 where not named."""
-        return SIZES
+        sizes = dict(SIZES)
+        for part in self.sets:
+            sizes |= part.sizes
+        return sizes
 
     @property
     def width(self) -> int:
@@ -227,13 +195,13 @@ class OrbitProblem:
 
     def motion_at(self, at: Trajectory) -> ArcMotion:
         """The motion with the force parameters as estimated."""
-        of_forces = [p for p in self.estimated if p.name not in OF_FIXES]
+        of_forces = [p for p in self.estimated if p.moves_craft]
         return self.motion.with_added({p.name: self.value(p, at) for p in of_forces})
 
     def clock(self, number: int, trajectory: Trajectory) -> float:
         """Return the delay of a fix after its time stamp, s."""
         fix = self.fixes[number]
-        clocks = [p for p in self.estimated if p.name == "clock" and p.applies(fix)]
+        clocks = [p for p in self.estimated if p.name == "clock" and p.applies(fix.camera, fix.run)]
         return float(sum(float(self.value(p, trajectory)[0]) for p in clocks))
 
     def measure(
@@ -241,7 +209,9 @@ class OrbitProblem:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Residual (3,) of a fix, its derivatives (3, 6 + p), and (3, q) by what is considered."""
         fix, node = self.fixes[number], self.node_of[number]
-        applying = [p for p in (*self.estimated, *self.considered) if p.applies(fix)]
+        applying = [
+            p for p in (*self.estimated, *self.considered) if p.applies(fix.camera, fix.run)
+        ]
         offset = self.clock(number, trajectory)
         state, bring = trajectory.states[node], np.eye(6)
         after = fix.tdb_s + offset - float(self.times[node])
@@ -267,9 +237,16 @@ class OrbitProblem:
         moved, unshared = self.shared.split(number, fix.sighted_m2)
         return moved, unshared if fix.timing_m2 is None else unshared + fix.timing_m2
 
+    def rows(self, at: Trajectory) -> ScalarRows:
+        """Linearise the scalar measurements about a trajectory."""
+        parameters = (self.estimated, self.considered)
+        return self.scalars.rows(self.motion_at(at), at.states, at.parameters, parameters)
+
     def left_over(self, at: Trajectory, weights: FloatArray) -> float:
-        """Return the part of chi-square that no state of a linear arc explains."""
-        return 0.0
+        """Return the part of chi-square that no change of the nodes' states takes away."""
+        if not self.sets:
+            return 0.0
+        return self.scalars.remainder(self.rows(at), weights[len(self.fixes) :])
 
     def standardised(
         self, at: Trajectory, found: SmoothedArc, used: BoolArray
@@ -277,8 +254,9 @@ class OrbitProblem:
         """Residuals (n,) over their sigmas, number (n,) of the series of each, and TDB s (n,).
 
         The axes R, N, B of fixes are three series; what near fixes have in common is taken off.
+        Scalar measurements have those of their sets.
         """
-        rows, numbers = [], np.flatnonzero(used)
+        rows, numbers = [], np.flatnonzero(used[: len(self.fixes)])
         for number in numbers:
             node, residual = self.node_of[number], self.measure(int(number), at)[0]
             moved, unshared = self.split(int(number))
@@ -287,7 +265,16 @@ class OrbitProblem:
             root = np.linalg.cholesky(axes @ unshared @ axes.T)
             rows.append(solve_triangular(root, axes @ residual, lower=True))
         times = np.repeat([self.fixes[number].tdb_s for number in numbers], 3)
-        return np.array(rows).ravel(), np.tile(np.arange(3), len(rows)), times
+        values, series = np.array(rows).ravel(), np.tile(np.arange(3), len(rows))
+        if not self.sets:
+            return values, series, times
+        kept, scalars = used[len(self.fixes) :], self.scalars
+        standardised = self.rows(at).residuals / scalars.sigmas
+        return (
+            np.concatenate([values, standardised[kept]]),
+            np.concatenate([series, scalars.series[kept] + 3]),
+            np.concatenate([times, scalars.tdb_s[kept]]),
+        )
 
     def _derivative(
         self, p: FitParameter, number: int, turn: FloatArray, state: FloatArray, offset: float
@@ -322,14 +309,19 @@ class OrbitProblem:
             for p, node in zip(self.priors, self.prior_nodes, strict=True)
             if first <= node <= last
         ]
-        fixes = [self.fixes[k] for k in inside]
-        return OrbitProblem(
-            self.motion,
-            fixes,
-            priors,
-            self.parameters,
-            self.radius_m,
-            shared_sizes=self.shared_sizes,
+        fixes, between = [self.fixes[k] for k in inside], np.empty(0)
+        tracking, sights = list(self.tracking), self.sights
+        if self.sets:
+            between = self.times[first : last + 1]
+            tracking = [part.cut(between[0], between[-1]) for part in tracking]
+            sights = None if sights is None else sights.cut(between[0], between[-1])
+        return replace(
+            self,
+            fixes=fixes,
+            priors=priors,
+            between=between,
+            sights=sights,
+            tracking=tracking,
         )
 
     def linearise(
@@ -339,14 +331,14 @@ class OrbitProblem:
 
         n is the width with what near fixes have in common.
 
-        weights  (fixes,) of each; 0 leaves one out
+        weights  (measurements,) of each; 0 leaves one out
         sigmas   (6,) of the first state as the step before had them
         """
         n, count = self.width + self.shared.width, len(self.times)
         common = np.arange(self.width, n)
         fading = self.shared.fading(self.times)
-        estimated = [p for p in self.estimated if p.name not in OF_FIXES]
-        considered = [p for p in self.considered if p.name not in OF_FIXES]
+        estimated = [p for p in self.estimated if p.moves_craft]
+        considered = [p for p in self.considered if p.moves_craft]
         q = sum(p.size for p in self.considered)
         transitions, noises = np.tile(np.eye(n), (count - 1, 1, 1)), np.zeros((count - 1, n, n))
         defects = np.zeros((count - 1, n, 1 + q))
@@ -371,7 +363,7 @@ class OrbitProblem:
             paths[i + 1, :6] = step.transition @ paths[i, :6] + pushed
         measurements = [
             self._measurement(number, at, paths, weight)
-            for number, weight in enumerate(weights)
+            for number, weight in enumerate(weights[: len(self.fixes)])
             if weight > 0.0
         ]
         for prior, node in zip(self.priors, self.prior_nodes, strict=True):
@@ -379,6 +371,10 @@ class OrbitProblem:
             residual[:, 0] = prior.state - at.states[node]
             residual[:, 1:] = paths[node, :6]
             measurements.append(NodeMeasurement(node, residual, np.eye(6, n), prior.covariance))
+        if self.sets:
+            scalar_weights = weights[len(self.fixes) :]
+            moved = paths[:, : self.width]
+            measurements += self.scalars.compressed(self.rows(at), scalar_weights, moved, n)
         offset = np.zeros((n, 1 + q))
         offset[6 : self.width, 0] = -at.parameters
         arc = LinearArc(
@@ -411,30 +407,3 @@ class OrbitProblem:
         known_before = self.prior_covariance(self.estimated)
         common = np.eye(self.shared.width)
         return np.array(block_diag(np.diag(sigmas**2), known_before, common))
-
-
-def unobserved_remarks(problem: OrbitProblem, covariance: FloatArray) -> list[str]:
-    """Name the parameters that the measurements leave open.
-
-    covariance  (p, p) of the parameters after the fit
-    """
-    remarks = []
-    for parameter in problem.estimated:
-        sigmas = np.sqrt(np.diag(covariance)[parameter.span])
-        left = sigmas / np.sqrt(np.diag(parameter.covariance))
-        axes = AXES_OF.get(parameter.name, "")
-        whose = parameter.settings.label
-        # an arc of thrust is known before: there is nothing to say where the fixes add nothing
-        if parameter.name not in PRIOR_SIGMAS or not (left > UNOBSERVED).any():
-            continue
-        if not (left > UNOBSERVED).all():
-            if not axes:
-                continue
-            hidden = (axis for axis, share in zip(axes, left, strict=True) if share > UNOBSERVED)
-            whose += f" along {', '.join(hidden)}"
-        share = float(left[left > UNOBSERVED].min())
-        remarks.append(
-            f"{whose} is not observed: the measurements leave {100.0 * share:.0f} % of its prior "
-            "sigma"
-        )
-    return remarks

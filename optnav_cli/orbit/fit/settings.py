@@ -37,10 +37,11 @@ UNITS: dict[str, str] = {
     "vertical": "arcsec",
     "star_catalog": "arcsec",
 }
-# In these a parameter belongs to the fixes of a camera or of a run; those of sights belong to all
-# zenith distances; the others move the craft.
+# Parameters of the fixes of a camera or of a run, and of all zenith distances; the others move the
+# craft.
+OF_FIXES: tuple[Name, ...] = ("clock", "focal", "map_offset")
 OF_SIGHTS: tuple[Name, ...] = ("vertical", "star_catalog")
-OF_FIXES: tuple[Name, ...] = ("clock", "focal", "map_offset", *OF_SIGHTS)
+OF_MEASUREMENTS: tuple[Name, ...] = (*OF_FIXES, *OF_SIGHTS)
 
 Vector = tuple[
     Annotated[float, Meta(ge=-1e13, le=1e13)],
@@ -173,7 +174,7 @@ def check_parameters(parameters: tuple[ParameterSettings, ...]) -> None:
     for parameter in parameters:
         if parameter.label in seen:
             raise ConfigError(f"[[parameter]] {parameter.label} is there twice; remove one")
-        owned = parameter.name in OF_FIXES and parameter.name not in OF_SIGHTS
+        owned = parameter.name in OF_FIXES
         if not owned and (parameter.camera or parameter.run):
             what = "is common to all zenith distances" if parameter.name in OF_SIGHTS else ""
             what = what or "moves the craft, whatever camera looks"

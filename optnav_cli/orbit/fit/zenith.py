@@ -7,6 +7,7 @@ vertical: an instrument sees stars alone, so a constant error of the vertical al
 the orbit by as much, and no residual shows it.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,9 @@ from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC
 from catalog.tables import CsvRow
 from optnav_cli.frames.orbit_tables import ZENITH
+from optnav_cli.orbit.fit.motion import rnb_of
+from optnav_cli.orbit.fit.parameters import FitParameter
+from optnav_cli.orbit.fit.scalars import ScalarSet
 
 ZENITH_CSV, STAR_ZENITH = "zenith.csv", "star_zenith"
 # A catalogue of another epoch has stars elsewhere: the quickest of the bright ones moves by 3.9" a
@@ -31,7 +35,7 @@ MAX_SIGMA_ARCSEC = 3.6e5
 
 
 @dataclass(frozen=True, eq=False)
-class ZenithSights:
+class ZenithSights(ScalarSet):
     """Zenith distances in the order of time.
 
     tdb_s       (n,) TDB s past J2000
@@ -60,6 +64,60 @@ class ZenithSights:
             self.star_of[kept],
             self.names,
         )
+
+    @property
+    def measured(self) -> str:
+        """Name of the measurements."""
+        return "zenith distances"
+
+    @property
+    def values(self) -> FloatArray:
+        """(n,) rad."""
+        return self.values_rad
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """(n,) rad."""
+        return self.sigmas_rad
+
+    @property
+    def epochs(self) -> FloatArray:
+        """(n, 1) TDB s."""
+        return self.tdb_s[:, None]
+
+    @property
+    def series(self) -> IntArray:
+        """(n,) number of the star of each."""
+        return self.star_of
+
+    @property
+    def sizes(self) -> Mapping[str, int]:
+        """Two numbers for each star, along east and north."""
+        return {"star_catalog": 2 * len(self.names)}
+
+    def compute(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Compute the angles (n,), rad, of states (n, 1, 6), and derivatives (n, 1, 6)."""
+        angles, by_place, _ = zenith_distances(states[:, 0, :3], self.directions)
+        by_states = np.zeros((len(angles), 1, 6))
+        by_states[:, 0, :3] = by_place
+        return angles, by_states
+
+    def by_parameter(
+        self, parameter: FitParameter, states: FloatArray, by_states: FloatArray
+    ) -> FloatArray | None:
+        """Differentiate by the vertical forward and across, or by stars' places, per arc second."""
+        if parameter.name == "vertical":
+            axes = np.stack([rnb_of(state) for state in states[:, 0]])
+            size = np.linalg.norm(states[:, 0, :3], axis=1)[:, None] * ARCSEC
+            turned: FloatArray = (axes[:, 1:] @ by_states[:, 0, :3, None])[:, :, 0] * size
+            return turned
+        if parameter.name == "star_catalog":
+            by_star = zenith_distances(states[:, 0, :3], self.directions)[2]
+            along = (self.star_axes @ by_star[:, :, None])[:, :, 0] * ARCSEC
+            derivative = np.zeros((len(along), len(self.names), 2))
+            derivative[np.arange(len(along)), self.star_of] = along
+            return derivative.reshape(len(along), -1)
+        return None
 
     @property
     def stars_used(self) -> tuple[str, ...]:

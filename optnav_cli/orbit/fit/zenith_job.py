@@ -24,6 +24,7 @@ from optnav_cli.frames.run_settings import (
     read_run_settings,
     write_run_settings,
 )
+from optnav_cli.orbit.fit.fit import OrbitFit, densify
 from optnav_cli.orbit.fit.folder import (
     DISTURBANCES_CSV,
     ORBIT_CSV,
@@ -46,7 +47,7 @@ from optnav_cli.orbit.fit.settings import (
     ParameterSettings,
 )
 from optnav_cli.orbit.fit.zenith import ZENITH_CSV, ZenithSights, read_zenith
-from optnav_cli.orbit.fit.zenith_fit import ZenithFit, denser, fit_zenith
+from optnav_cli.orbit.fit.zenith_fit import fit_zenith
 from optnav_cli.output.manifest import OutputFolder
 from optnav_cli.output.run_folder import SOLUTION
 from optnav_cli.output.wording import format_length
@@ -62,8 +63,9 @@ DEFAULT_BODY = "moon"  # of a file without a run.toml beside it
 
 def write_zenith_folder(
     place: Path,
-    fit: ZenithFit,
-    dense: ZenithFit,
+    sights: ZenithSights,
+    fit: OrbitFit,
+    dense: OrbitFit,
     settings: OrbitFitSettings,
     kernels: Sequence[str],
 ) -> None:
@@ -77,7 +79,7 @@ def write_zenith_folder(
     kinds: list[Kind] = ["between"] * len(times)
     rows = OrbitRows(times, kinds, dense.trajectory.states, dense.covariances)
     write_orbit_rows(place / ORBIT_CSV, rows, dense.problem.ephemeris)
-    ZENITH_RESIDUALS.write(place / ZENITH_RESIDUALS_CSV, _residual_rows(fit))
+    ZENITH_RESIDUALS.write(place / ZENITH_RESIDUALS_CSV, _residual_rows(sights, fit))
     DISTURBANCES.write(place / DISTURBANCES_CSV, disturbance_rows(fit))
     oem = Oem(
         dense.problem.ephemeris.body.name, times, rows.states, fit.problem.times, fit.covariances
@@ -85,15 +87,15 @@ def write_zenith_folder(
     write_oem(place / ORBIT_OEM, oem, "CRAFT", utc_from_tdb_s(float(times[-1]), 0))
 
 
-def _residual_rows(fit: ZenithFit) -> Iterator[dict[str, object]]:
-    sights, looks = fit.sights, fit.looks
+def _residual_rows(sights: ZenithSights, fit: OrbitFit) -> Iterator[dict[str, object]]:
+    looks = fit.looks
     for k in range(len(sights)):
         used = bool(looks.used[k])
         yield {
             "utc": utc_from_tdb_s(float(sights.tdb_s[k])),
             "star": sights.names[sights.star_of[k]],
             "value_deg": float(np.degrees(sights.values_rad[k])),
-            "residual_arcsec": float(looks.residual_rad[k]) / ARCSEC,
+            "residual_arcsec": float(looks.residual[k]) / ARCSEC,
             "sigma_arcsec": float(sights.sigmas_rad[k]) / ARCSEC,
             "chi_square": float(looks.chi_square[k]),
             "used": used,
@@ -101,12 +103,12 @@ def _residual_rows(fit: ZenithFit) -> Iterator[dict[str, object]]:
         }
 
 
-def zenith_summary(fit: ZenithFit) -> list[str]:
+def zenith_summary(sights: ZenithSights, fit: OrbitFit) -> list[str]:
     """A few lines for people."""
     first, last = (utc_from_tdb_s(float(fit.problem.times[k]), 0) for k in (0, -1))
-    sights, looks = fit.sights, fit.looks
+    looks = fit.looks
     used = looks.used
-    rms = float(np.sqrt(np.mean(looks.residual_rad[used] ** 2))) / ARCSEC
+    rms = float(np.sqrt(np.mean(looks.residual[used] ** 2))) / ARCSEC
     sigmas = np.sqrt(np.trace(fit.covariances[:, :3, :3], axis1=1, axis2=2) / 3.0)
     lines = [
         f"orbit through {fit.used} of {fit.count} zenith distances of "
@@ -187,7 +189,9 @@ def fit_zenith_files(
     priors = orbit_priors(settings.prior, ephemeris, beside, ends)
     motion = ArcMotion(Forces(ephemeris, settings.forces, beside), settings.noise)
     fit = fit_zenith(motion, source.sights, priors, settings.parameter, settings.gate_probability)
-    write_zenith_folder(out.path, fit, denser(fit, settings.step_s), settings, kernels)
+    write_zenith_folder(
+        out.path, source.sights, fit, densify(fit, settings.step_s), settings, kernels
+    )
     write_run_settings(source.settings, out.path)
     out.options = {"config": msgspec.to_builtins(settings), "solve": list(solve)}
     out.inputs = {
@@ -195,7 +199,7 @@ def fit_zenith_files(
         "motion": ephemeris.name,
     }
     out.results = {"zenith_distances": fit.count, "used": fit.used}
-    return zenith_summary(fit)
+    return zenith_summary(source.sights, fit)
 
 
 def _settings(path: Path) -> tuple[RunSettings, Body]:
@@ -240,7 +244,7 @@ def _with_solved(settings: OrbitFitSettings, solve: Sequence[str]) -> OrbitFitSe
     if settings.noise.model == "mean" and "acceleration" not in stated:
         parameters.append(ParameterSettings("acceleration"))
     for parameter in parameters:
-        if parameter.name in OF_FIXES and parameter.name not in OF_SIGHTS:
+        if parameter.name in OF_FIXES:
             raise UsageError(
                 f"{parameter.name} belongs to fixes, and zenith distances do not depend on it; "
                 "solve for srp, acceleration or vertical, or fit a run"

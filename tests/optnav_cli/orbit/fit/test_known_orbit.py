@@ -12,9 +12,8 @@ from catalog.errors import DataError
 from catalog.tables import CsvColumn, CsvTable
 from optnav_cli.main import run
 from optnav_cli.orbit.fit.known_orbit import _utc_days, known_orbit, picture_times
-from optnav_cli.orbit.fit.oem import Oem, write_oem
+from optnav_cli.orbit.fit.oem import CRAFT, Oem, write_oem, write_spk
 from optnav_cli.orbit.fit.problem import OrbitFix
-from optnav_cli.orbit.fit.spk import CRAFT, write_spk
 from tests.optnav_cli.orbit.fit.flights import MOON, START_S, fixes_of, truth, write_run
 
 SIGMA_M = 15.0

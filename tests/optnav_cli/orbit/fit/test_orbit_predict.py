@@ -13,10 +13,10 @@ from optnav_cli.main import run as optnav
 from optnav_cli.orbit.fit.files import predict_orbit
 from optnav_cli.orbit.fit.folder import read_orbit
 from optnav_cli.orbit.fit.job import fit_runs
+from optnav_cli.orbit.fit.oem import write_spk
 from optnav_cli.orbit.fit.oem_reader import read_oem
 from optnav_cli.orbit.fit.predict import OrbitPath
 from optnav_cli.orbit.fit.settings import OrbitFitSettings, ParameterSettings
-from optnav_cli.orbit.fit.spk import write_spk
 from tests.optnav_cli.orbit.fit.flights import QUIET, START_S, flight, truth, write_run
 
 SETTINGS = OrbitFitSettings(forces=ForcesSettings(degree=2), noise=QUIET)

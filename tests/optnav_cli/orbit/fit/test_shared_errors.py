@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optnav_cli.orbit.fit import shared_errors
+from optnav_cli.orbit.fit import parameters as shared_errors
 from optnav_cli.orbit.fit.fit import densify, fit_orbit
 from optnav_cli.orbit.fit.motion import ArcMotion, OrbitNoiseSizes, rnb_of
+from optnav_cli.orbit.fit.parameters import SharedErrorSizes
 from optnav_cli.orbit.fit.problem import OrbitProblem
 from optnav_cli.orbit.fit.settings import NoiseSettings, ParameterSettings
-from optnav_cli.orbit.fit.shared_errors import SharedErrorSizes
 from tests.optnav_cli.orbit.fit.flights import FORCES, MOON, QUIET, flight
 
 SIZES = SharedErrorSizes(0.8, 12.0)

@@ -1,4 +1,4 @@
-"""What errors of near fixes have in common: the same ground, seen from nearly the same side.
+"""Numbers common to measurements: parameters of a fit, and errors that near fixes share.
 
 A map, a shape or a limb that is wrong moves all fixes by it alike, until other ground comes into
 view. So a share of each fix's covariance belongs to three numbers of its method that fade with the
@@ -7,7 +7,7 @@ would be called exact. Cameras that look at one time see the same ground by the 
 the best of their fixes has in common the others have, too, and besides it errors of their own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated
@@ -19,6 +19,104 @@ from scipy.linalg import eigh, sqrtm
 from catalog.arrays import FloatArray
 from catalog.config import load_toml, resource
 from catalog.geometry.vectors import angle_between
+from optnav_cli.dynamics.forces import THRUST
+from optnav_cli.orbit.fit.settings import (
+    OF_FIXES,
+    OF_MEASUREMENTS,
+    PRIOR_SIGMAS,
+    ParameterSettings,
+)
+
+# Numbers of a parameter; others have one.
+SIZES = {"map_offset": 3, "acceleration": 3, "vertical": 2}
+UNOBSERVED = 0.9  # of the prior's sigma
+AXES_OF = {"vertical": "NB"}  # of parameters of which one axis may be open and another not
+
+
+@dataclass(frozen=True, eq=False)
+class FitParameter:
+    """A number, or three, common to fixes or to the arc.
+
+    name        of the settings; of an arc of thrust thrust_1 and so on
+    first       place of its first number among those estimated, or among those considered
+    covariance  (size, size) before the measurements are used
+    """
+
+    name: str
+    settings: ParameterSettings
+    first: int
+    covariance: FloatArray
+
+    @property
+    def size(self) -> int:
+        return len(self.covariance)
+
+    @property
+    def span(self) -> slice:
+        return slice(self.first, self.first + self.size)
+
+    def applies(self, camera: str, run: str) -> bool:
+        """Whether fixes of a camera in a run depend on it directly."""
+        wanted = self.settings
+        return wanted.name in OF_FIXES and wanted.camera in ("", camera) and wanted.run in ("", run)
+
+    @property
+    def moves_craft(self) -> bool:
+        """Whether it belongs to the forces, and not to measurements."""
+        return self.name not in OF_MEASUREMENTS
+
+
+def parameters_of(
+    settings: Sequence[ParameterSettings],
+    thrusts: Sequence[FloatArray],
+    sizes: Mapping[str, int] = SIZES,
+) -> tuple[list[FitParameter], list[FitParameter]]:
+    """Those estimated and those considered, each with its place.
+
+    thrusts  covariances (3, 3) of the arcs of thrust, which are estimated too
+    sizes    how many numbers a parameter has; 1 where not named
+    """
+    by_mode: dict[str, list[FitParameter]] = {"estimate": [], "consider": []}
+    ends = dict.fromkeys(by_mode, 0)
+    every: list[tuple[str, ParameterSettings, FloatArray]] = [
+        (setting.name, setting, np.eye(sizes.get(setting.name, 1)) * setting.sigma**2)
+        for setting in settings
+    ]
+    for number, covariance in enumerate(thrusts, start=1):
+        every.append((f"{THRUST}{number}", ParameterSettings("acceleration"), covariance))
+    for name, setting, covariance in every:
+        parameter = FitParameter(name, setting, ends[setting.mode], covariance)
+        ends[setting.mode] += parameter.size
+        by_mode[setting.mode].append(parameter)
+    return by_mode["estimate"], by_mode["consider"]
+
+
+def unobserved_remarks(estimated: Sequence[FitParameter], covariance: FloatArray) -> list[str]:
+    """Name the parameters that the measurements leave open.
+
+    covariance  (p, p) of the parameters after the fit
+    """
+    remarks = []
+    for parameter in estimated:
+        sigmas = np.sqrt(np.diag(covariance)[parameter.span])
+        left = sigmas / np.sqrt(np.diag(parameter.covariance))
+        axes = AXES_OF.get(parameter.name, "")
+        whose = parameter.settings.label
+        # an arc of thrust is known before: there is nothing to say where the fixes add nothing
+        if parameter.name not in PRIOR_SIGMAS or not (left > UNOBSERVED).any():
+            continue
+        if not (left > UNOBSERVED).all():
+            if not axes:
+                continue
+            hidden = (axis for axis, share in zip(axes, left, strict=True) if share > UNOBSERVED)
+            whose += f" along {', '.join(hidden)}"
+        share = float(left[left > UNOBSERVED].min())
+        remarks.append(
+            f"{whose} is not observed: the measurements leave {100.0 * share:.0f} % of its prior "
+            "sigma"
+        )
+    return remarks
+
 
 FILE = "configs/models/orbit_fixes.toml"
 TOGETHER = 0.1  # lengths of fading between fixes that have the error of the best of them in common
