@@ -25,6 +25,12 @@ def load_camera(path: Path) -> object:
     return load_camera(path)
 
 
+def load_photometry(path: Path) -> object:
+    from catalog.photometry.sets import load_sets
+
+    return load_sets(path.stem)
+
+
 def load_build(path: Path) -> object:
     from catalog.pipeline.config import load_build_config
 
@@ -56,7 +62,7 @@ def load_hazard(path: Path) -> object:
 
 
 def load_calibrate(path: Path) -> object:
-    from optnav_cli.calibration.settings import load_calibrate_settings
+    from optnav_cli.calibration.model import load_calibrate_settings
 
     return load_calibrate_settings(path)
 
@@ -128,6 +134,7 @@ LOADERS: dict[str, Callable[[Path], object]] = {
     "models": load_model,
     "scenarios": load_scenario,
     "imports": load_import,
+    "photometry": load_photometry,
     "orbits": load_orbit,
     "templates/qso": load_qso,
     "templates/landing": load_landing,
@@ -200,7 +207,7 @@ def config_type(kind: str) -> type[msgspec.Struct]:
 
         return BuildConfig
     if kind == "calibrate":
-        from optnav_cli.calibration.settings import CalibrateSettings
+        from optnav_cli.calibration.model import CalibrateSettings
 
         return CalibrateSettings
     if kind == "navigate":

@@ -2,7 +2,7 @@
 
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -13,6 +13,12 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.config import Turn, load_toml, nearest_name, resource
 from catalog.errors import ConfigError
+from catalog.photometry.sets import (
+    BodyPhotometry,
+    PhotometricSet,
+    PhotometrySettings,
+    load_sets,
+)
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -265,6 +271,7 @@ class BodyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     spice: SpiceNames | None = None
     catalog_frame: CatalogFrame = THE_SAME_FRAME
     atmosphere: Atmosphere | None = None
+    photometry: BodyPhotometry | None = None
 
 
 @dataclass(frozen=True)
@@ -285,6 +292,8 @@ class Body:
     spice                its names in SPICE kernels; None where the file states none
     catalog_frame        where its catalogs lie in the frame that positions are stated in
     atmosphere           of bodies whose air bends light
+    photometric_sets     Hapke's parameters of its ground, the one in use first; empty: those that
+                         ship for its name, see `photometry`
     """
 
     name: str
@@ -300,6 +309,30 @@ class Body:
     spice: SpiceNames | None = None
     catalog_frame: CatalogFrame = THE_SAME_FRAME
     atmosphere: Atmosphere | None = None
+    photometric_sets: tuple[PhotometricSet, ...] = ()
+
+    @property
+    def photometry(self) -> PhotometricSet:
+        """The set of Hapke's parameters in use; the Moon's for a body of which none is known."""
+        return (self.photometric_sets or load_sets(self.name))[0]
+
+    def choose_photometry(self, settings: PhotometrySettings) -> "Body":
+        """The body with the set that settings ask for. Raises ConfigError for an unknown one."""
+        known = self.photometric_sets or load_sets(self.name)
+        if settings == PhotometrySettings():
+            return self
+        chosen = settings.choose(known, self.name)
+        return replace(self, photometric_sets=(chosen, *(s for s in known if s != chosen)))
+
+    def describe_missing_photometry(self) -> str | None:
+        """Say that the Moon's set stands in, and how to state one; None where the body has one."""
+        if self.photometry.body == self.name:
+            return None
+        return (
+            f"no photometric set is known of the {self.name}: its ground is drawn as the Moon's, "
+            f"{self.photometry.describe()}; state [photometry.sets.NAME] and default in its body "
+            "file, as configs/photometry has them"
+        )
 
     @property
     def flattening(self) -> float:
@@ -384,4 +417,7 @@ def read_body(path: Path) -> Body:
         spice=settings.spice,
         catalog_frame=settings.catalog_frame,
         atmosphere=settings.atmosphere,
+        photometric_sets=()
+        if settings.photometry is None
+        else settings.photometry.name_sets(settings.name, str(path)),
     )

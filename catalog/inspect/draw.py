@@ -11,6 +11,7 @@ from catalog.arrays import ByteArray, Float32Array
 from catalog.control_point import Patch, Pyramid
 from catalog.errors import OutputError
 from catalog.files import check_file, write_output
+from catalog.photometry.laws import LUNAR_HAPKE, SurfaceLaw
 from catalog.rendering.map_view import render_map
 
 HEADER_BYTES = 33  # of a PNG: its magic number and its first chunk
@@ -30,7 +31,7 @@ _FRAME = (60, 160, 255)
 _NO_DATA = (200, 190, 190)
 
 
-def draw_pyramid(pyramid: Pyramid, radius_m: float) -> ByteArray:
+def draw_pyramid(pyramid: Pyramid, radius_m: float, law: SurfaceLaw = LUNAR_HAPKE) -> ByteArray:
     """Draw the levels of a point side by side, the finest left.
 
     Above: heights by colour with relief shading. Below: brightness by Hapke with cast shadows,
@@ -49,7 +50,7 @@ def draw_pyramid(pyramid: Pyramid, radius_m: float) -> ByteArray:
         left = GAP_PX + level * (TILE_PX + GAP_PX)
         outer = tuple((p.heights_m, p.posting_m) for p in levels[level + 1 :])
         bright = render_map(
-            patch.heights_m, patch.posting_m, sun, radius_m=radius_m, law="hapke", outer=outer
+            patch.heights_m, patch.posting_m, sun, radius_m=radius_m, law=law, outer=outer
         )
         finer = levels[level - 1] if level else None
         _draw_tile(picture, HEAD_PX, left, _render_heights(patch), patch, finer)

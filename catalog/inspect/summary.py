@@ -77,6 +77,7 @@ def catalog_document(catalog: Catalog) -> Document:
             | {"of_gld100": e.against_gld100, "template_sigma_m": _compute_template_sigmas(e, meta)}
             for name, e in meta.terrain_errors.items()
         },
+        "photometry": meta.ground.describe(),
         "comparison": _summarise_comparison(catalog),
         "software": meta.software,
         "created_utc": meta.created_utc,

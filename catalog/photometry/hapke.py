@@ -34,16 +34,6 @@ class HapkeParameters(NamedTuple):
     theta_bar: float
 
 
-# The Moon at 643 nm: w, b and hs are medians, over 30 S to 30 N, of the parameter maps that Sato et
-# al. (2014) published (LROC product WAC_HAPKEPARAMMAP), c and bs0 follow from them by that paper's
-# fits (c by Hapke's "hockey stick", 3.29 exp(-17.4 b^2) - 0.908), theta_bar is what the product
-# holds fixed in every cell (the paper prints 23.4 deg). Taken at second hand, from a published
-# summary of product and paper; the disc that they make is tested against the Moon's own.
-LUNAR = HapkeParameters(
-    w=0.3854, b=0.2375, c=0.3253, bs0=1.686, hs=0.0672, theta_bar=math.radians(23.657)
-)
-
-
 @kernel
 def h_function(x: float, w: float) -> float:
     """Chandrasekhar's H for isotropic scatterers; Hapke's 2002 approximation, better than 1 %."""
@@ -156,7 +146,7 @@ def stack_cosines(mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> FloatA
 
 
 def reflectance(
-    mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, surface: HapkeParameters = LUNAR
+    mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, surface: HapkeParameters
 ) -> FloatArray:
     """Radiance factor (pi times the bidirectional reflectance).
 

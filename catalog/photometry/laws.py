@@ -8,7 +8,6 @@ L = 1 - 0.019 g + 0.242e-3 g^2 - 1.46e-6 g^3 with g in degrees.
 """
 
 import math
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -20,15 +19,14 @@ from catalog.errors import ConfigError
 from catalog.geometry.kernel import kernel
 from catalog.photometry import hapke
 from catalog.photometry.hapke import HapkeParameters, stack_cosines
+from catalog.photometry.sets import LUNAR
 
 NORMAL_ALBEDO = 0.12  # the Moon's geometric albedo in V (Allen's Astrophysical Quantities, 4th ed.)
 HAPKE, LOMMEL_SEELIGER, LUNAR_LAMBERT, LAMBERT = 0, 1, 2, 3  # numbers of the laws in kernels
 
-Law = Callable[..., FloatArray]
-
 
 class SurfaceLaw(NamedTuple):
-    """A law as kernels take it.
+    """A law with the numbers of a ground, as kernels take it.
 
     number   HAPKE, LOMMEL_SEELIGER, LUNAR_LAMBERT or LAMBERT
     surface  parameters of Hapke's law
@@ -38,6 +36,14 @@ class SurfaceLaw(NamedTuple):
     number: int
     surface: HapkeParameters
     albedo: float
+
+    def __call__(self, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> FloatArray:
+        """Radiance factor; zero where mu0 <= 0 or mu <= 0.
+
+        mu0, mu, cos_phase  cosines of incidence, emission and phase; shapes broadcast
+        """
+        cosines = stack_cosines(mu0, mu, cos_phase)
+        return _evaluate_flat(cosines.reshape(3, -1), self).reshape(cosines.shape[1:])
 
 
 @kernel
@@ -124,28 +130,23 @@ def _evaluate_simple_law(
     mu0, mu, cos_phase  cosines of incidence, emission and phase; shapes broadcast
     albedo              normal albedo
     """
-    cosines = stack_cosines(mu0, mu, cos_phase)
-    law = SurfaceLaw(number, hapke.LUNAR, float(albedo))
-    return _evaluate_flat(cosines.reshape(3, -1), law).reshape(cosines.shape[1:])
+    return SurfaceLaw(number, LUNAR, float(albedo))(mu0, mu, cos_phase)
 
 
 lambert = partial(_evaluate_simple_law, LAMBERT)
 lommel_seeliger = partial(_evaluate_simple_law, LOMMEL_SEELIGER)
 lunar_lambert = partial(_evaluate_simple_law, LUNAR_LAMBERT)
-LAWS: dict[str, Law] = {
-    "hapke": hapke.reflectance,
-    "lommel_seeliger": lommel_seeliger,
-    "lunar_lambert": lunar_lambert,
-    "lambert": lambert,
-}
-LAW_NUMBERS = {name: number for number, name in enumerate(LAWS)}
+LAWS = ("hapke", "lommel_seeliger", "lunar_lambert", "lambert")  # by their numbers
 
 
-def find_law(name: str) -> Law:
-    """The function reflectance(mu0, mu, cos_phase) of a law.
+def find_law(name: str, surface: HapkeParameters = LUNAR) -> SurfaceLaw:
+    """Find a law by its name, for a ground of Hapke's parameters; the Moon's unless given.
 
     Raises ConfigError for a name that is no law.
     """
     if name not in LAWS:
         raise ConfigError(f"photometry: no law is called '{name}'; use one of {', '.join(LAWS)}")
-    return LAWS[name]
+    return SurfaceLaw(LAWS.index(name), surface, NORMAL_ALBEDO)
+
+
+LUNAR_HAPKE = find_law("hapke")

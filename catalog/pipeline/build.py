@@ -1,5 +1,6 @@
 """The build of a catalog, stage by stage on a workspace; what is done is not done again."""
 
+import logging
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -33,6 +34,8 @@ from catalog.progress import Progress, SilentProgress, log_stage
 from catalog.store.connection import SIDECARS, is_catalog_file
 from catalog.store.patches import PreparedPoint
 from catalog.terrain.dem.file import resolve_path
+
+log = logging.getLogger(__name__)
 
 STAGES = ("ingest", "render", "select", "check", "write")
 
@@ -97,6 +100,13 @@ def run(
         body = load_body(config.body.name, source.path.parent)
     except ConfigError as error:
         raise ConfigError(f"{source.path}: [body] name: {error}") from None
+    try:
+        body = body.choose_photometry(config.photometry)
+    except ConfigError as error:
+        raise ConfigError(f"{source.path}: {error}") from None
+    missing = body.describe_missing_photometry()
+    if missing:
+        log.warning("%s", missing)
     with ExitStack() as held:
         if output is not None:
             held.enter_context(lock_output(output))

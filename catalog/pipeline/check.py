@@ -13,6 +13,7 @@ from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
 from catalog.correlation.filters import blur_nodes
 from catalog.correlation.surf64 import MIN_SIDE
 from catalog.geometry.projection import MapProjection, Stereographic
+from catalog.photometry.laws import find_law
 from catalog.pipeline import cell_map, render
 from catalog.pipeline.comparison import add_comparison
 from catalog.pipeline.context import StageContext
@@ -99,6 +100,7 @@ def run_trials(
             search,
             Gate(settings.min_score, settings.rival_ratio),
             outer=[(patch.heights_m, patch.posting_m) for patch in outer],
+            law=find_law("hapke", context.body.photometry.surface),
         )
 
 
@@ -376,7 +378,7 @@ def _measure_uniqueness(
     for patch in patches:
         coarsest = patch is patches[-1]
         reach = settings.search_km * 1e3 / patch.posting_m if coarsest else FINE_SEARCH_NODES
-        ground, law = (patch.heights_m, patch.posting_m), "lommel_seeliger"
+        ground, law = (patch.heights_m, patch.posting_m), find_law("lommel_seeliger")
         pictures = (render_map(*ground, sun, radius_m=projection.radius_m, law=law) for sun in suns)
         margins.append(min(compute_uniqueness_margin(picture, side, reach) for picture in pictures))
     return tuple(margins)

@@ -21,6 +21,7 @@ from catalog.errors import ConfigError, DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import MapProjection, Stereographic
+from catalog.photometry.laws import find_law
 from catalog.pipeline.context import StageContext
 from catalog.rendering.map_view import render_map
 
@@ -129,7 +130,9 @@ def _match(
     weights, weighted = np.zeros((2, 2)), np.zeros(2)
     for sun in SUNS:
         shown, sought = (
-            render_map(grid, posting_m, sun, radius_m=projection.radius_m, law="lunar_lambert")
+            render_map(
+                grid, posting_m, sun, radius_m=projection.radius_m, law=find_law("lunar_lambert")
+            )
             for grid in (other, own)
         )
         match = match_ncc(sought, shown, MARGIN_NODES)

@@ -18,6 +18,7 @@ import msgspec
 from catalog.bodies.body import is_body_file
 from catalog.config import BUNDLED, Positive, Slope, parse_toml, read_toml_text, resolve_config
 from catalog.errors import ConfigError
+from catalog.photometry.sets import PhotometrySettings
 from catalog.store.manifest import LIMITS
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.error_model import StatedError
@@ -240,6 +241,7 @@ class BuildConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     check: CheckSettings = msgspec.field(default_factory=CheckSettings)
     comparison: ComparisonSettings = msgspec.field(default_factory=ComparisonSettings)
     write: WriteSettings = msgspec.field(default_factory=WriteSettings)
+    photometry: PhotometrySettings = PhotometrySettings()
 
     def select_dems(self, role: str) -> list[DemSection]:
         """The terrain models of a role, the first used first."""

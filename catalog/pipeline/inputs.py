@@ -11,6 +11,7 @@ import catalog
 from catalog.errors import ConfigError
 from catalog.geometry.cells import CellGrid
 from catalog.jobs.workspace import compute_stage_key, hash_package
+from catalog.photometry.sets import PhotometricSet
 from catalog.pipeline.comparison import check_comparison
 from catalog.pipeline.config import BuildConfig, DemSection, MeshSection, make_stated_error
 from catalog.pipeline.context import DemRecord, IngestRun, StageContext
@@ -100,7 +101,8 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
         # paths and ranks do not matter by themselves: what was read, and in which order, does
         read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
     first = compute_stage_key(hash_package(), body.name, read, cells.tolist())
-    keys = _make_stage_keys(first, config, posting, [(dem.sha256, dem.folder) for dem in compared])
+    others = [(dem.sha256, dem.folder) for dem in compared]
+    keys = _make_stage_keys(first, config, posting, others, body.photometry)
     context = StageContext(body, terrain, grid, posting, config, second)
     check_comparison(context, str(run.config_path), cells.tolist())
     errors = _collect_stated_errors(run, terrain.names, records)
@@ -123,12 +125,16 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
 
 
 def _make_stage_keys(
-    first: str, config: BuildConfig, posting_m: float, compared: list[tuple[str, str]]
+    first: str,
+    config: BuildConfig,
+    posting_m: float,
+    compared: list[tuple[str, str]],
+    photometry: PhotometricSet,
 ) -> dict[str, str]:
     """Keys of the stages; each depends on the one before and on the stage's own settings."""
     keys = {"ingest": first}
     parts: dict[str, tuple[Any, ...]] = {
-        "render": (config.grid, config.pyramid, posting_m, config.render),
+        "render": (config.grid, config.pyramid, posting_m, config.render, photometry),
         "select": (config.select,),
         "check": (config.check, config.comparison, compared),
         "write": (config.write,),

@@ -13,6 +13,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import MapProjection
+from catalog.photometry.laws import find_law
 from catalog.pipeline.cell_map import (
     FINE_LEVELS,
     MAX_MISSING,
@@ -116,7 +117,7 @@ def _score_places(
     One ground holds them all, rendered once a level and Sun, with what throws shadows from about.
     """
     settings = context.config.render
-    window = settings.window_nodes
+    law, window = find_law(settings.law, context.body.photometry.surface), settings.window_nodes
     projection, offsets = _compute_offsets(context, places)
     postings = context.postings_m[: settings.levels]
     grids, windows = [], []
@@ -134,7 +135,7 @@ def _score_places(
         for k, sun in enumerate(suns):
             picture = blur_grid(
                 render_map_quickly(
-                    grid, posting, sun, radius_m=projection.radius_m, law=settings.law, outer=outer
+                    grid, posting, sun, radius_m=projection.radius_m, law=law, outer=outer
                 )
             )
             for i, inside in enumerate(windows[level]):

@@ -121,6 +121,7 @@ def write(
         planes=planes,
         terrain_errors=dict(extras.errors),
         comparison=extras.comparison,
+        photometry=context.body.photometry,
         sources=dict(extras.sources),
         config=extras.config_text,
         software=f"optnav {catalog.__version__}",

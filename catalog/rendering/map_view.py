@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.photometry.hapke import LUNAR
 from catalog.photometry.laws import (
     HAPKE,
-    LAW_NUMBERS,
-    NORMAL_ALBEDO,
+    LOMMEL_SEELIGER,
+    LUNAR_HAPKE,
+    LUNAR_LAMBERT,
     SurfaceLaw,
-    find_law,
     lunar_weight,
 )
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE
@@ -41,7 +40,7 @@ def render_map(
     radius_m: float,
     view_local: ArrayLike | None = None,
     camera_local: ArrayLike | None = None,
-    law: str = "hapke",
+    law: SurfaceLaw = LUNAR_HAPKE,
     outer: Outer | None = (),
 ) -> Float32Array:
     """Radiance factor of every node of a map grid, zero in shadow, NaN where there is no data.
@@ -52,13 +51,12 @@ def render_map(
     radius_m      radius of the reference sphere
     view_local    (3,)  direction to a far camera; without it and a camera, straight up
     camera_local  (3,)  place of a near camera, m from the centre's foot on the reference sphere
-    law           "hapke", "lommel_seeliger", "lunar_lambert" or "lambert", with the Moon's
-                  parameters and normal albedo
+    law           with the numbers of the ground, see `find_law`; by default Hapke's and the Moon's
     outer         coarser grids about the same centre that throw shadows in, or their field, as for
                   `make_lit_mask`; None for no cast shadows, then only what faces away from the Sun
                   is dark
     Returns (n, n) float32. Terrain is not hidden by terrain: a node that faces the camera is drawn.
-    Raises ConfigError for an unknown law, ValueError for vectors without a direction.
+    Raises ValueError for vectors without a direction.
     """
     if view_local is not None and camera_local is not None:
         raise ValueError("render_map: give view_local or camera_local, not both")
@@ -66,7 +64,7 @@ def render_map(
     light = _make_light(law, sun_local, view)
     if camera_local is not None:
         camera = np.ascontiguousarray(camera_local, dtype=np.float64)
-        made = NEAR_LUNAR if law == "lunar_lambert" else NEAR
+        made = NEAR_LUNAR if law.number == LUNAR_LAMBERT else NEAR
         light = light._replace(made=made, camera=camera)
     grid = map_grid(heights, posting_m, radius_m)
     return compute_illumination(grid, light, outer, TABLE_SIZE)
@@ -79,7 +77,7 @@ def render_map_quickly(
     *,
     radius_m: float,
     view_local: ArrayLike = ZENITH,
-    law: str = "hapke",
+    law: SurfaceLaw = LUNAR_HAPKE,
     outer: Outer | None = (),
 ) -> Float32Array:
     """Render as `render_map` does under a fixed view, with Hapke's law from a coarse table.
@@ -101,6 +99,7 @@ def render_map_near(
     camera_local: FloatArray,
     *,
     radius_m: float,
+    law: SurfaceLaw = LUNAR_HAPKE,
     outer: Outer | None = (),
 ) -> Float32Array:
     """Render as `render_map` does by Hapke's law for a near camera, in a fifth of the time.
@@ -114,19 +113,21 @@ def render_map_near(
     view = camera_local - np.array([0.0, 0.0, middle_m])
 
     def nearly(grid: Float32Array, step_m: float, shadows: Outer | None) -> Float32Array:
-        lit_grid = grid, step_m, sun_local
-        law, radius = "lunar_lambert", radius_m
+        lit_grid, radius = (grid, step_m, sun_local), radius_m
+        simple = law._replace(number=LUNAR_LAMBERT)
         near = render_map(
-            *lit_grid, radius_m=radius, camera_local=camera_local, law=law, outer=shadows
+            *lit_grid, radius_m=radius, camera_local=camera_local, law=simple, outer=shadows
         )
-        far = render_map(*lit_grid, radius_m=radius, view_local=view, law=law, outer=None)
-        wanted = render_map_quickly(*lit_grid, radius_m=radius, view_local=view, outer=None)
+        far = render_map(*lit_grid, radius_m=radius, view_local=view, law=simple, outer=None)
+        wanted = render_map_quickly(
+            *lit_grid, radius_m=radius, view_local=view, law=law, outer=None
+        )
         return near * np.divide(wanted, far, out=np.zeros_like(far), where=far > 0.0)
 
     level = np.full((LEVEL_NODES, LEVEL_NODES), middle_m, np.float32)
     apart_m = posting_m * (len(heights) - 1) / (LEVEL_NODES - 1)
     exact = render_map(
-        level, apart_m, sun_local, radius_m=radius_m, camera_local=camera_local, outer=None
+        level, apart_m, sun_local, radius_m=radius_m, camera_local=camera_local, law=law, outer=None
     )
     approximate = nearly(level, apart_m, None)
     factor = np.divide(exact, approximate, out=np.ones_like(exact), where=approximate > 0.0)
@@ -149,23 +150,23 @@ def render_levels(
     sun_local: ArrayLike,
     *,
     radius_m: float,
-    law: str,
+    law: SurfaceLaw,
 ) -> tuple[list[Float32Array], list[ShadowField]]:
     """`render_map` from straight up of the finest of some grids, each with all coarser ones about.
 
     grids  (heights, posting_m) about one centre, finer first
     count  how many are rendered
     Returns also the field of shadows about each grid, for other grids about the same centre.
-    Raises ConfigError for an unknown law, ValueError for Hapke's, which wants a table for each.
+    Raises ValueError for Hapke's law, which wants a table for each.
     """
     light = _make_light(law, sun_local, ZENITH)
     if light.made == TABLE:
-        raise ValueError(f"render_levels: {law} grids are rendered one by one")
+        raise ValueError("render_levels: grids by Hapke's law are rendered one by one")
     return compute_illumination_levels([map_grid(*grid, radius_m) for grid in grids], light, count)
 
 
-def _make_light(law: str, sun_local: ArrayLike, view_local: ArrayLike) -> Lighting:
-    """Make the lighting for a far camera. Raises ConfigError for an unknown law."""
+def _make_light(law: SurfaceLaw, sun_local: ArrayLike, view_local: ArrayLike) -> Lighting:
+    """Make the lighting for a far camera."""
     sun, view = (np.asarray(vector, dtype=np.float64) for vector in (sun_local, view_local))
     if sun.shape != (3,) or view.shape != (3,):
         sun, view = _normalise(sun, "sun_local"), _normalise(view, "view_local")  # which refuses it
@@ -174,16 +175,14 @@ def _make_light(law: str, sun_local: ArrayLike, view_local: ArrayLike) -> Lighti
 
 @lru_cache(maxsize=KEPT_SUNS)
 def _make_far_light(
-    law: str, sun_local: tuple[float, ...], view_local: tuple[float, ...]
+    law: SurfaceLaw, sun_local: tuple[float, ...], view_local: tuple[float, ...]
 ) -> Lighting:
-    find_law(law)  # refuses a name that is no law
     sun, view = _normalise(sun_local, "sun_local"), _normalise(view_local, "view_local")
-    weight = float(law == "lommel_seeliger")
-    if law == "lunar_lambert":
+    weight = float(law.number == LOMMEL_SEELIGER)
+    if law.number == LUNAR_LAMBERT:
         weight = lunar_weight(float(sun @ view))
-    number = LAW_NUMBERS[law]
-    made = TABLE if number == HAPKE else TWO_TERMS
-    return Lighting(made, sun, view, weight, SurfaceLaw(number, LUNAR, NORMAL_ALBEDO), NO_TABLE)
+    made = TABLE if law.number == HAPKE else TWO_TERMS
+    return Lighting(made, sun, view, weight, law, NO_TABLE)
 
 
 def _normalise(vector: ArrayLike, what: str) -> FloatArray:

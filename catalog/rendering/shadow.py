@@ -12,14 +12,13 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.geometry.projection import FLAT_RADIUS_M
-from catalog.photometry.hapke import LUNAR
-from catalog.photometry.laws import NORMAL_ALBEDO, SurfaceLaw
+from catalog.photometry.laws import LUNAR_HAPKE
 from catalog.rendering.hapke_table import make_slope_table
 from catalog.rendering.shading import FAR, LIMIT, LIT, TABLE, Lighting, MapGrid
 from catalog.rendering.swept import NO_LIMITS, ShadowField, Sweep, sweep_grid, sweep_levels
 
 ZENITH: FloatArray = np.array([0.0, 0.0, 1.0])
-NO_LAW = SurfaceLaw(0, LUNAR, NORMAL_ALBEDO)
+NO_LAW = LUNAR_HAPKE
 NO_TABLE: Float32Array = np.empty((0, 0), np.float32)
 NO_FIELD = ShadowField(NO_LIMITS, 1.0)
 # A place is rendered at several levels under one Sun; what follows from its direction takes longer

@@ -21,6 +21,7 @@ from catalog.correlation.filters import choose_thinning, downsample_blurred
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import match_similarity
 from catalog.geometry.kernel import kernel
+from catalog.photometry.laws import LUNAR_HAPKE, SurfaceLaw, find_law
 from catalog.rendering.map_view import render_levels, render_map_quickly
 
 FINER = 2  # the picture's ground has this many nodes to one of the finest reference
@@ -179,10 +180,12 @@ def run_trial(
     search: Search = Search(),
     gate: Gate = Gate(),
     outer: Sequence[tuple[Float32Array, float]] = (),
+    law: SurfaceLaw = LUNAR_HAPKE,
 ) -> TrialOutcome:
     """Look for a point once.
 
     levels  finest first; the search starts at the last
+    law     that the picture is drawn by
     seed    of the noise
     outer   coarser grids (heights, posting_m) that throw shadows in from beyond the last level
     Raises ValueError without a level.
@@ -198,7 +201,7 @@ def run_trial(
     sun, view = circumstances.sun_local, circumstances.view_local
     grids = [*((level.reference, level.posting_m) for level in levels), *outer]
     templates, around = render_levels(
-        grids, len(levels), sun, radius_m=radius_m, law="lommel_seeliger"
+        grids, len(levels), sun, radius_m=radius_m, law=find_law("lommel_seeliger")
     )
     for number in range(len(levels) - 1, -1, -1):
         level, posting_m = levels[number], levels[number].posting_m
@@ -213,7 +216,7 @@ def run_trial(
         side = compute_side(truth_from_picture, offset, window, level.truth.shape[0])
         truth, finer_m = _cut_centre(level.truth, side), posting_m / level.finer
         seen = render_map_quickly(
-            truth, finer_m, sun, view_local=view, radius_m=radius_m, outer=around[number]
+            truth, finer_m, sun, view_local=view, radius_m=radius_m, law=law, outer=around[number]
         )
         origin, averaging = offset + (side - 1) / 2.0, round(posting_m / levels[0].posting_m)
         picture = simulate_picture(

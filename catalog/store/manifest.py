@@ -21,6 +21,7 @@ from catalog.errors import DataError
 from catalog.geometry.ellipsoid import compute_normals, find_foot
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.projection import FLAT_RADIUS_M, MapProjection
+from catalog.photometry.sets import PhotometricSet, load_sets
 from catalog.terrain.error_model import TerrainErrorModel
 
 FORMAT = "optnav catalog"
@@ -141,6 +142,8 @@ class CatalogMeta:
     planes         where patches lie in tangent planes; None on the sphere
     terrain_errors  of the sources whose error was stated, by name; no part of the content digest
     comparison     with a second terrain model; no part of the content digest
+    photometry     Hapke's parameters that it was built with; None in older catalogs, which were
+                   built with the Moon's; no part of the content digest
     seal           of the file that it was read from (see `catalog.store.connection`); "" for none
     """
 
@@ -164,6 +167,7 @@ class CatalogMeta:
     planes: PlanesMeta | None = None
     terrain_errors: Mapping[str, TerrainErrorModel] = field(default_factory=dict)
     comparison: ComparisonMeta | None = None
+    photometry: PhotometricSet | None = None
     seal: str = field(default="", compare=False)
 
     def projection(self, point: ControlPoint) -> MapProjection:
@@ -176,6 +180,11 @@ class CatalogMeta:
         """The stated error of the terrain model that counts most at points of a source."""
         named = (n for n in self.terrain_errors if f"{point_source} + ".startswith(f"{n} + "))
         return self.terrain_errors.get(max(named, key=len, default=""))
+
+    @property
+    def ground(self) -> PhotometricSet:
+        """The photometric set that the points are to be drawn by."""
+        return self.photometry or load_sets("moon")[0]
 
     @property
     def map_radius_m(self) -> float:
@@ -225,6 +234,8 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
             rows["format_version"] = str(FORMAT_VERSION)
     if meta.terrain_errors:
         rows["terrain_errors"] = msgspec.json.encode(meta.terrain_errors, order="sorted").decode()
+    if meta.photometry is not None:
+        rows["photometry"] = msgspec.json.encode(meta.photometry, order="sorted").decode()
     if meta.comparison is not None:
         rows["comparison"] = msgspec.json.encode(meta.comparison, order="sorted").decode()
     rows = dict(sorted(rows.items()))
@@ -285,6 +296,7 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
                 texts.get("terrain_errors", "{}"), type=dict[str, TerrainErrorModel]
             ),
             comparison=decode(texts.get("comparison", "null"), type=ComparisonMeta | None),
+            photometry=decode(texts.get("photometry", "null"), type=PhotometricSet | None),
             seal=texts.get(SEAL, ""),
             format_version=int(version),
         )

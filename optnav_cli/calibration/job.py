@@ -24,12 +24,12 @@ from optnav_cli.calibration.adjust_job import collect_rows, compute_stated_resid
 from optnav_cli.calibration.adjusted_folder import AdjustedRow, StatedResiduals, correct_camera
 from optnav_cli.calibration.adjustment import AdjustedFrame, Adjustment, adjust
 from optnav_cli.calibration.model import (
+    CalibrateSettings,
     Direction,
     estimate_frame_motions,
     find_inseparable,
     find_tied_pairs,
 )
-from optnav_cli.calibration.settings import CalibrateSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import write_camera
 from optnav_cli.estimation.models.common import Common, CommonNumber

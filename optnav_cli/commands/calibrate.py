@@ -195,7 +195,7 @@ def _calibrate_in_flight(
     **_: Any,
 ) -> list[str]:
     from optnav_cli.calibration.job import calibrate_folder
-    from optnav_cli.calibration.settings import CalibrateSettings, load_calibrate_settings
+    from optnav_cli.calibration.model import CalibrateSettings, load_calibrate_settings
     from optnav_cli.estimation.models.common import Common
     from optnav_cli.navigate.worker import RunInputs
 

@@ -165,6 +165,7 @@ def show_point(catalog: Path, point_id: int | None, output: Path | None, as_json
     """
     from catalog.inspect.draw import check_png_place, draw_pyramid, write_png
     from catalog.inspect.summary import describe_point, point_document
+    from catalog.photometry.laws import find_law
     from catalog.store.reader import Catalog
 
     report_compilation()
@@ -179,7 +180,8 @@ def show_point(catalog: Path, point_id: int | None, output: Path | None, as_json
         else:
             pyramid = opened.pyramid(point_id)
             document = point_document(pyramid.point)
-            write_png(draw_pyramid(pyramid, opened.meta.map_radius_m), path)
+            law = find_law("hapke", opened.meta.ground.surface)
+            write_png(draw_pyramid(pyramid, opened.meta.map_radius_m, law), path)
     picture = {"picture": str(path)}
     lines = describe_point(document) if document else {}
     print_answer({"catalog": str(catalog)} | document | picture, lines | picture, as_json)

@@ -18,7 +18,7 @@ from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.control_points.search_plan import choose_template_nodes, find_finest_level
 from optnav_cli.control_points.settings import NavigateSettings, ViewSettings
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.frames.observation import Observation
+from optnav_cli.frames.folder import Observation
 from optnav_cli.reasons import Reason, ReasonCode, format_distinct
 
 

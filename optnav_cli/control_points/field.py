@@ -18,6 +18,8 @@ from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.vectors import unit
+from catalog.photometry.laws import SurfaceLaw, find_law
+from catalog.photometry.sets import PhotometricSet, load_sets
 from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import PlanesMeta
 from catalog.terrain.error_model import TerrainErrorModel, measure_rms_slope
@@ -72,6 +74,7 @@ class PointLayer:
     errors       (n,) stated errors of the terrain models that the points are of, None for one
                  without; empty where none is stated
     body         whose air bends lines of sight; None: without air
+    photometry   the set that the catalog was built with
     """
 
     name: str
@@ -85,6 +88,12 @@ class PointLayer:
     planes: PlanesMeta | None = None
     errors: tuple[TerrainErrorModel | None, ...] = ()
     body: Body | None = None
+    photometry: PhotometricSet = load_sets("moon")[0]
+
+    @property
+    def law(self) -> SurfaceLaw:
+        """The law that its points are drawn by."""
+        return find_law("hapke", self.photometry.surface)
 
     @property
     def verticals(self) -> FloatArray:
@@ -254,7 +263,7 @@ class ControlPointField:
 
         def make_reference() -> Reference:
             point, patches = layer.store.point(name[1]), layer.store.patches(name[1])
-            return Reference(point, patches, layer.radius_m, planes_on_m)
+            return Reference(point, patches, layer.radius_m, planes_on_m, layer.law)
 
         try:
             return self._references.get(index, make_reference)

@@ -53,7 +53,7 @@ from optnav_cli.fix import (
     PositionPrior,
     UnsolvedFrameError,
 )
-from optnav_cli.frames.observation import Observation
+from optnav_cli.frames.folder import Observation
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # The pose stands still when a pass moves it by less than this share of its sigma, or the points in

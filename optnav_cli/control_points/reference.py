@@ -11,6 +11,7 @@ from catalog.geometry.ellipsoid import measure_height_above
 from catalog.geometry.grid import cubic_weights, interpolate_bicubic
 from catalog.geometry.kernel import inplace_kernel, kernel
 from catalog.geometry.projection import MapProjection, TangentPlane
+from catalog.photometry.laws import LUNAR_HAPKE, SurfaceLaw
 from catalog.rendering.map_view import render_map_near
 from catalog.rendering.shadow import make_shadow_field
 from catalog.rendering.swept import ShadowField
@@ -25,12 +26,14 @@ class Reference:
     planes_on_m  semi-axes of the ellipsoid in whose tangent planes the patches of a small body lie,
                  with heights above them, unless the point has a plane of its own; None: on the
                  sphere
+    law     of the ground's brightness
     """
 
     point: ControlPoint
     patches: tuple[Patch, ...]
     radius_m: float
     planes_on_m: tuple[float, float, float] | None = None
+    law: SurfaceLaw = LUNAR_HAPKE
     _kept_shadows: dict[tuple[int, bytes], ShadowField] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -102,6 +105,7 @@ class Reference:
             sun_local,
             (camera_position_m - np.array(self.projection.foot_m)) @ body_from_local,
             radius_m=self.projection.radius_m,
+            law=self.law,
             outer=self._cast_shadows(level, sun_local),
         )
 

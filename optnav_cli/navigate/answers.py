@@ -22,8 +22,8 @@ from optnav_cli.control_points import method as control_points
 from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.fix import Fix, Method, NoFix, PositionPrior, Solution, UnsolvedFrameError
+from optnav_cli.frames.folder import Observation
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.observation import Observation
 from optnav_cli.outline import method as outline
 from optnav_cli.outline.neighbour import find_other_body
 from optnav_cli.reasons import Reason

@@ -23,8 +23,8 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.acceptance import check_position
 from optnav_cli.dynamics.arc import GATE
 from optnav_cli.fix import Evidence, Fix, Method, NoFix, PositionPrior, Solution
+from optnav_cli.frames.folder import FROM_FILE, Observation, make_observation
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.observation import FROM_FILE, Observation, make_observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigate.answers import Answers, FrameMethods, NavigationInputs
 from optnav_cli.navigate.history import History

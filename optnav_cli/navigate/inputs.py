@@ -94,6 +94,7 @@ def _make_layer(catalog: Catalog, body: Body, *, all_points: bool = False) -> Po
         meta.planes,
         tuple(by_source[source] for source in stated),
         body,
+        meta.ground,
     )
 
 

@@ -2,7 +2,7 @@
 
 import hashlib
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -28,6 +28,7 @@ from catalog.jobs.workspace import (
 )
 from catalog.places import check_apart
 from catalog.progress import Progress, log_stage
+from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, Method, Solution
 from optnav_cli.frames.orbit_tables import ZENITH
 from optnav_cli.frames.points import POINTS_CSV
@@ -147,14 +148,41 @@ def _measure_distance_m(row: Solution) -> float:
     return float(np.linalg.norm(places - row.position_m, axis=1).mean())
 
 
-def _describe_exact_lens(camera: str, distances_m: list[float]) -> str:
-    """Describe what a focal length error would do to positions by picked points."""
-    low, high = (LENS_SHARE * value for value in (min(distances_m), max(distances_m)))
-    shown = f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} to {high:.3g}"
-    return (
-        f"camera '{camera}' states no focal_length_error, so its focal length counts as exact: an "
-        f"error of {LENS_SHARE:.1%} would move the positions by {shown} m along the line of sight"
-    )
+def _describe_exact_lenses(
+    cameras: Mapping[str, Camera], distances_m: Mapping[str, list[float]]
+) -> Iterator[str]:
+    """Describe what errors of focal lengths would do to positions by picked points."""
+    for camera, each in distances_m.items():
+        if cameras[camera].focal_length_error != 0.0:
+            continue
+        low, high = (LENS_SHARE * value for value in (min(each), max(each)))
+        shown = f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} to {high:.3g}"
+        yield (
+            f"camera '{camera}' states no focal_length_error, so its focal length counts as exact: "
+            f"an error of {LENS_SHARE:.1%} would move the positions by {shown} m along the line of "
+            "sight"
+        )
+
+
+def _describe_photometry(worker: FrameWorker, solutions: list[Solution]) -> Iterator[str]:
+    """Say of which frames the phase lies outside the range of the ground's photometric set.
+
+    The phase of what the boresight meets does not depend on where that is.
+    """
+    body, points = worker.folder.body, worker.inputs.points
+    missing = body.describe_missing_photometry()
+    if missing:
+        yield missing
+    phases = []
+    for frame, row in zip(worker.folder.frames, solutions, strict=True):
+        if row.camera_from_body is not None and frame.sun_body is not None:
+            boresight = row.camera_from_body.inv().apply([0.0, 0.0, 1.0])
+            phases.append(np.degrees(np.arccos(np.clip(-boresight @ frame.sun_body, -1.0, 1.0))))
+    used = [layer.photometry for layer in points.layers] if points else [body.photometry]
+    for ground in dict.fromkeys(used):
+        outside = ground.find_outside(np.array(phases))
+        if outside:
+            yield outside
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,10 +237,12 @@ class _Run:
                 log.log(level, "%s", describe(row), extra=row.event(STAGE, record.seconds))
                 bare = replace(seen, matches=(), outline=None)
                 rows[number] = replace(row, outcome=replace(row.outcome, evidence=bare))
-        for name, distances in sights.items():
-            if folder.cameras[name].focal_length_error == 0.0:
-                log.warning("%s", _describe_exact_lens(name, distances))
         solutions = [rows[number] for number in range(len(self._frames))]
+        for text in (
+            *_describe_exact_lenses(folder.cameras, sights),
+            *_describe_photometry(worker, solutions),
+        ):
+            log.warning("%s", text)
         write_solutions(place / SOLUTION, solutions, folder.attitude)
         zenith = make_zenith_rows(folder, solutions)
         if zenith:

@@ -32,9 +32,8 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.fix import MatchKind, Method, NoFix, Solution
-from optnav_cli.frames.folder import Folder, read_folder
+from optnav_cli.frames.folder import FROM_FILE, Folder, read_folder
 from optnav_cli.frames.frames import Frame, picture_path
-from optnav_cli.frames.observation import FROM_FILE
 from optnav_cli.frames.picture import LaterPicture, Picture, PictureSizeError, load_frame_picture
 from optnav_cli.frames.points import POINTS_CSV, PickedPoint
 from optnav_cli.frames.run_settings import RUN_TOML, InertialSettings

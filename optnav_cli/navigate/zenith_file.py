@@ -17,9 +17,8 @@ from catalog.errors import DataError
 from catalog.geometry.vectors import unit
 from optnav_cli.dynamics.forces import NEIGHBOURS
 from optnav_cli.fix import Method, Solution
-from optnav_cli.frames.folder import Folder
+from optnav_cli.frames.folder import FROM_FILE, Folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.observation import FROM_FILE
 from optnav_cli.orbit.fit.folder import stated_turn
 from optnav_cli.orbit.fit.zenith import zenith_distances, zenith_row
 

@@ -14,6 +14,7 @@ from markupsafe import Markup
 from catalog.arrays import ByteArray, FloatArray, IntArray
 from catalog.errors import DataError, UsageError
 from catalog.geometry.latlon import xyz_from_latlon
+from catalog.photometry.hapke import HapkeParameters
 from catalog.rendering.mesh_scene import MeshScene
 from catalog.store.reader import Catalog
 from catalog.terrain.mesh.rays import MeshRays
@@ -106,7 +107,8 @@ def draw_sides(catalog: Catalog, size_px: int) -> list[Side]:
     points = xyz_from_latlon(lat, lon, np.asarray(records["radius_m"], np.float64))
     lines = _trace_graticule(relief)
     hidden_m = HIDDEN_CELLS * relief.posting_m * max(1.0, len(relief.heights) / MAX_ROWS)
-    return [_draw_side(mesh, side, size_px, points, lines, hidden_m) for side in SIDES]
+    surface = catalog.meta.ground.surface
+    return [_draw_side(mesh, surface, side, size_px, points, lines, hidden_m) for side in SIDES]
 
 
 def mesh_relief(relief: GlobalRelief) -> FloatArray:
@@ -149,6 +151,7 @@ def _trace_graticule(relief: GlobalRelief) -> list[FloatArray]:
 
 def _draw_side(
     mesh: MeshRays,
+    surface: HapkeParameters,
     side: tuple[tuple[int, ...], tuple[int, ...], str],
     size_px: int,
     points: FloatArray,
@@ -166,7 +169,7 @@ def _draw_side(
     for aside_deg, share in ((SUN_ASIDE_DEG, 1.0 - FILL), (-FILL_ASIDE_DEG, FILL)):
         aside = np.radians(aside_deg)
         sun = np.cos(aside) * toward + np.sin(aside) * (up - right) / np.sqrt(2.0)
-        bright = MeshScene(mesh, sun).picture(viewer, rays, SAMPLES)
+        bright = MeshScene(mesh, sun, surface).picture(viewer, rays, SAMPLES)
         light += share * bright / max(float(np.percentile(bright[bright > 0.0], 99.5)), 1e-9)
     gray = np.rint(255.0 * np.clip(light, 0.0, 1.0) ** GAMMA).astype(np.uint8)
 

@@ -18,6 +18,8 @@ from catalog.bodies.body import Body
 from catalog.cache import Cache
 from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import Lattice, xyz_from_latlon
+from catalog.photometry.hapke import HapkeParameters
+from catalog.photometry.sets import LUNAR
 from catalog.rendering.rays.ground import Ground, make_ground, make_whole_sphere
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings
@@ -160,18 +162,18 @@ class GlobeTerrain:
 class GlobeGround:
     """The ground of a whole body; `grounds` has the terrain of each seed.
 
-    truth, albedo  what the ground scatters; as catalogs are rendered when left out
+    surface, albedo  what the ground scatters: the Moon's, the same everywhere, when left out
     """
 
     def __init__(
         self,
         heights: GlobeHeights,
         grounds: dict[int | None, GlobeTerrain],
-        truth: TruthSettings = TruthSettings(),
+        surface: HapkeParameters = LUNAR,
         albedo: Albedo | None = None,
     ) -> None:
         self._heights, self._grounds = heights, grounds
-        self._surface, self._albedo = truth.surface, albedo
+        self._surface, self._albedo = surface, albedo
         self._corners = lru_cache(maxsize=CAMERAS)(corner_rays)
 
     @classmethod
@@ -201,7 +203,7 @@ class GlobeGround:
             relief = ReliefSum(tuple(parts)) if parts else None
             grounds[seed] = GlobeTerrain(heights, relief, kept)
         albedo = None if truth.albedo == "uniform" else Albedo(truth, body)
-        return cls(heights, grounds, truth, albedo)
+        return cls(heights, grounds, truth.find_surface(body), albedo)
 
     def radiance(self, camera: Camera, exposure: Exposure) -> Float32Array:
         """Mean radiance factor over each pixel (height, width) of a picture, sky 0."""

@@ -152,6 +152,9 @@ def simulate_folder(
         else:
             origin = {"sha256": hashlib.sha256(scenario_copy(scenario)).hexdigest()}
         simulation = simulation_of(scenario)
+        missing = simulation.motion.body.describe_missing_photometry()
+        if missing:
+            log.warning("%s", missing)
         key = _key(simulation, workspace)
         if is_finished(pictures, key):
             log.info("%s: is there already, from the same scenario", pictures)

@@ -310,7 +310,7 @@ class RegionGround:
     ) -> None:
         self._near, self._finest = near, NEAR_FACTOR if near else 4
         self._nodes_px = NEAR_NODES_PX if near else 1.0 / 1.5
-        self._terrain, self._surface = terrain, truth.surface
+        self._terrain, self._surface = terrain, truth.find_surface(terrain.body)
         self._albedo = None if truth.albedo == "uniform" else Albedo(truth, terrain.body)
         self._corners = lru_cache(maxsize=CAMERAS)(corner_rays)
         self._plans: dict[int, tuple[int, Box]] = {}

@@ -77,7 +77,10 @@ class Simulation:
     @cached_property
     def motion(self) -> Ephemeris:
         """Rotation of the body."""
-        return scenario_motion(self.scenario, load_body(self.scenario.body))
+        body = load_body(self.scenario.body)
+        if self.scenario.photometry:
+            body = body.choose_photometry(self.scenario.photometry)
+        return scenario_motion(self.scenario, body)
 
     @cached_property
     def cameras(self) -> list[Camera]:

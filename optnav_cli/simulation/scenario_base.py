@@ -16,6 +16,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import ConfigError
+from catalog.photometry.sets import PhotometrySettings
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.file import MeshSettings
 from optnav_cli.camera.camera import Camera
@@ -101,6 +102,7 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """Settings of every scenario file, as written.
 
     beside  further cameras of the same ship; all take their pictures at the same times
+    photometry  which set of Hapke's parameters the ground has; unset: the body's default
     body    a name of configs/bodies, or the path of a body file, from the scenario's folder
     """
 
@@ -121,6 +123,8 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     sky: sections.SkySettings = sections.SkySettings()
     glare: sections.GlareSettings = sections.GlareSettings()
     structure: tuple[sections.StructureSettings, ...] = ()
+    # unset, not null, so that the copy of a scenario without it has no such section
+    photometry: PhotometrySettings | msgspec.UnsetType = msgspec.UNSET
 
     @property
     def shape(self) -> MeshSettings | None:

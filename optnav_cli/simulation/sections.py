@@ -11,7 +11,8 @@ from msgspec import Meta
 from catalog.bodies.body import Body
 from catalog.config import NotNegative, Slope, Turn
 from catalog.errors import ConfigError
-from catalog.photometry.hapke import LUNAR, HapkeParameters
+from catalog.photometry.hapke import HapkeParameters
+from catalog.photometry.sets import LUNAR
 from catalog.terrain.error_model import ErrorSpectrum, load_terrain_laws
 from catalog.terrain.synthetic.model_error import ModelError, SlopeMap
 from catalog.terrain.synthetic.relief import SyntheticRelief
@@ -220,10 +221,9 @@ class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
             return self.model_error.spectrum()
         return load_terrain_laws().spectrum.get(self.model_error)
 
-    @property
-    def surface(self) -> HapkeParameters:
-        """Hapke's parameters of the true ground."""
-        return LUNAR if self.phase_law == "catalog" else OTHER_SURFACE
+    def find_surface(self, body: Body) -> HapkeParameters:
+        """Hapke's parameters of the true ground of a body."""
+        return body.photometry.surface if self.phase_law == "catalog" else OTHER_SURFACE
 
 
 class MainCamera(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

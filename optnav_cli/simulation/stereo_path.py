@@ -219,7 +219,8 @@ class StereoTerrain:
         ground: Ground = make_ground(fine, north, west, step, step * stretch, radius)
         flat = np.zeros((COARSE_ROWS, 2 * COARSE_ROWS), np.float32)
         wide = make_whole_sphere(flat, radius, float(lon.mean()) + np.pi)
-        return Scene(ground, wide, exposure.sun_body, ground, self._scenario.world.surface)
+        surface = self._scenario.world.find_surface(self._body)
+        return Scene(ground, wide, exposure.sun_body, ground, surface)
 
     def _over_ground(self, place_m: FloatArray, relief: SyntheticRelief) -> float:
         radius = float(np.linalg.norm(place_m))

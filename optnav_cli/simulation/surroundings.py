@@ -241,6 +241,7 @@ class MeshGround:
 
     def __init__(self, shape: MeshSettings, detail: DetailSettings, body: Body) -> None:
         self._detail, self._radius_m = detail, body.radius_m
+        self._surface = body.photometry.surface
         model = load_shape(shape, Path.cwd(), body)
         smallest = detail.smallest_m
         # halved until there are about two edges to the finest relief
@@ -281,7 +282,7 @@ class MeshGround:
         aside = int(np.clip(np.ceil(pixel_m / self.posting_m), 1, MAX_SAMPLES))
         corners = rays[rows.start : rows.stop + 1, cols.start : cols.stop + 1]
         fine_rays = _between(corners, aside) @ exposure.camera_from_body.as_matrix()
-        scene = MeshScene(ground, exposure.sun_body)
+        scene = MeshScene(ground, exposure.sun_body, self._surface)
         fine = scene.picture(exposure.position_m, fine_rays, samples=-(-LIMB_SAMPLES // aside))
         shape = rows.stop - rows.start, aside, cols.stop - cols.start, aside
         out[rows, cols] = fine.reshape(shape).mean(axis=(1, 3))

@@ -24,8 +24,7 @@ from optnav_cli.control_points.search_plan import SearchPlan
 from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import Solution
-from optnav_cli.frames.folder import Folder, read_folder, write_folder
-from optnav_cli.frames.observation import make_observation
+from optnav_cli.frames.folder import Folder, make_observation, read_folder, write_folder
 from optnav_cli.frames.picture import Picture, load_picture
 from optnav_cli.navigate.autonomous import NavigationInputs, Navigator
 from optnav_cli.navigate.inputs import open_field

@@ -10,6 +10,7 @@ import rasterio
 from numpy.typing import NDArray
 
 from catalog.config import resource
+from catalog.photometry.laws import find_law
 from catalog.rendering.map_view import render_map
 from catalog.rendering.shadow import make_lit_mask
 from catalog.terrain.skyline.local import compute_skyline_limits_deg
@@ -56,7 +57,8 @@ def test_shading_with_shadows_against_gdal_hillshade(tile, tmp_path):
         "cast shadows alone": lambda: make_lit_mask(tile, POSTING_M, SUN, MOON_M),
     }
     for law in ("lommel_seeliger", "lunar_lambert", "hapke"):
-        calls[law] = lambda law=law: render_map(tile, POSTING_M, SUN, radius_m=MOON_M, law=law)
+        value = find_law(law)
+        calls[law] = lambda law=value: render_map(tile, POSTING_M, SUN, radius_m=MOON_M, law=law)
     times = in_turn(calls, ROUNDS)
     theirs = np.subtract(times.pop("hillshade"), times.pop("its start"))
     rate = tile.size / 1e6 / np.median(theirs)
@@ -77,7 +79,7 @@ def test_a_reference_patch_with_its_shadows(tile):
     for law in ("lommel_seeliger", "lunar_lambert", "hapke"):
         seconds = best(
             lambda law=law: render_map(
-                patch, POSTING_M, SUN, radius_m=MOON_M, law=law, camera_local=camera
+                patch, POSTING_M, SUN, radius_m=MOON_M, law=find_law(law), camera_local=camera
             ),
             50,
         )

@@ -9,6 +9,7 @@ from catalog.arrays import Float32Array
 from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.correlation.surf64 import compute_descriptors
+from catalog.photometry.laws import find_law
 from catalog.rendering.map_view import render_map
 
 PLACE = Path(__file__).with_name("values.npz")
@@ -32,7 +33,7 @@ def golden_values() -> dict[str, Float32Array]:
     radius = load_body("moon").radius_m
     heights = window()
     values = {
-        f"{law}_{name}": render_map(heights, POSTING_M, sun, radius_m=radius, law=law)
+        f"{law}_{name}": render_map(heights, POSTING_M, sun, radius_m=radius, law=find_law(law))
         for law in LAWS
         for name, sun in SUNS.items()
     }

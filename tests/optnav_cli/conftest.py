@@ -166,7 +166,6 @@ class RoughWorld:
             self.posting_m,
             sun_body @ turn,
             camera_local=camera_local,
-            law="hapke",
             radius_m=RADIUS_M,
         )
         col, row = self._nodes_of_pixels(pose)

@@ -33,8 +33,7 @@ from optnav_cli.archives.job import ImportOptions, import_folder
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, preset_camera
 from optnav_cli.control_points.field import ControlPointField
-from optnav_cli.frames.folder import Folder, read_folder
-from optnav_cli.frames.observation import make_observation
+from optnav_cli.frames.folder import Folder, make_observation, read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigate.inputs import open_catalogs, open_field

@@ -21,7 +21,7 @@ from optnav_cli.control_points import method as control_points
 from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.fix import GateMargins, PositionPrior, UnsolvedFrameError
-from optnav_cli.frames.observation import FROM_FILE, Observation
+from optnav_cli.frames.folder import FROM_FILE, Observation
 from optnav_cli.reasons import ReasonCode
 from tests.studies import smooth_pictures
 

@@ -13,8 +13,7 @@ from catalog.errors import NothingToDoError
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from optnav_cli.calibration.job import Calibration, calibrate_folder
-from optnav_cli.calibration.model import estimate_frame_motions
-from optnav_cli.calibration.settings import CalibrateSettings
+from optnav_cli.calibration.model import CalibrateSettings, estimate_frame_motions
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera, preset_camera
 from optnav_cli.estimation.models.common import CommonState, common_numbers

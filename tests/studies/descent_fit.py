@@ -26,7 +26,7 @@ from catalog.progress import Progress
 from optnav_cli.control_points.expectation import FrameContext
 from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.estimation.models.points import Pose, predict
-from optnav_cli.frames.observation import make_observation
+from optnav_cli.frames.folder import make_observation
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigate.descent.filter import GATE

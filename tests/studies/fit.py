@@ -41,7 +41,7 @@ from optnav_cli.estimation.least_squares import inverse_of, linearised
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.estimation.resection import errors_of_scatter, with_dependent_errors
 from optnav_cli.estimation.robust import variance_factor
-from optnav_cli.frames.observation import Observation, make_observation
+from optnav_cli.frames.folder import Observation, make_observation
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import Truth, read_truth
 from optnav_cli.navigate.answers import NavigationInputs

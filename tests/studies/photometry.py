@@ -22,6 +22,7 @@ from catalog.config import resource
 from catalog.correlation.filters import filter_high_pass
 from catalog.correlation.peak import locate_peak
 from catalog.geometry.projection import Stereographic, make_node_grid
+from catalog.photometry.laws import find_law
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
 from catalog.terrain.dem.source import DemSettings, DemSource
@@ -92,7 +93,8 @@ def compare(
     sharp = filter_high_pass(hapke)
     result = {}
     for law in SIMPLE_LAWS:
-        drawn = render_map(ground, POSTING_M, sun, radius_m=radius_m, view_local=view, law=law)
+        value = find_law(law)
+        drawn = render_map(ground, POSTING_M, sun, radius_m=radius_m, view_local=view, law=value)
         simple = filter_high_pass(drawn)
         correlation = float(np.corrcoef(sharp.ravel(), simple.ravel())[0, 1])
         result[law] = correlation, _rms_shift(sharp, simple, hapke > 0.0)

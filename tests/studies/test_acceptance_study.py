@@ -11,7 +11,7 @@ from catalog.geometry.vectors import unit
 from catalog.progress import SilentProgress
 from optnav_cli.control_points import acceptance as gates
 from optnav_cli.fix import GateMargins
-from optnav_cli.frames.observation import Observation
+from optnav_cli.frames.folder import Observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.reasons import ReasonCode
 from tests.studies import acceptance

@@ -24,7 +24,7 @@ from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.control_points.solve import MatchedFrame
 from optnav_cli.estimation.models.points import Sightings
 from optnav_cli.estimation.resection import errors_of_scatter
-from optnav_cli.frames.observation import Observation
+from optnav_cli.frames.folder import Observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.truth import Truth
 from tests.studies import fit

@@ -19,8 +19,8 @@ from optnav_cli.control_points.field import ControlPointField
 from optnav_cli.control_points.picture_pyramid import PicturePyramid
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.fix import Evidence, Fix, MatchKind, Method, NoFix, PositionPrior, Solution
+from optnav_cli.frames.folder import make_observation
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.observation import make_observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.navigate.answers import Answers, FrameMethods, NavigationInputs

@@ -206,7 +206,8 @@ class WindowField:
             if number == 0 and np.isfinite(heights).mean() < MIN_KNOWN:
                 return None
             patches.append(Patch(grid.posting_m, heights))
-        return Reference(point, tuple(patches), self.points.radius_m)
+        law = self.points.layers[0].law
+        return Reference(point, tuple(patches), self.points.radius_m, law=law)
 
     def find_covered(self, keys: Sequence[WindowKey]) -> BoolArray:
         """Find which windows (n,) of one level and side may have ground; the others have none.

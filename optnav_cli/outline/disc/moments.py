@@ -1,7 +1,7 @@
 """Moments and size of a small disc in a picture, and of the lit sphere whose blur it is."""
 
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 
 import cv2
 import msgspec
@@ -14,22 +14,16 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import project_to_surface
 from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.photometry import hapke
-from catalog.photometry.laws import lambert, lommel_seeliger
+from catalog.photometry.hapke import HapkeParameters
+from catalog.photometry.laws import SurfaceLaw, find_law
+from catalog.photometry.sets import LUNAR
 from catalog.terrain.relief.relief import GlobalRelief, interpolate_relief
 from optnav_cli.frames.segmentation import ROUNDING_VARIANCE, Blobs, Segmented
 from optnav_cli.reasons import ReasonCode
 
 # Of Hapke's parameters the roughness moves a disc's light, by 0.006 radii and 2 % of its width;
 # the others do by a tenth of that.
-SMOOTH, ROUGH = (hapke.LUNAR._replace(theta_bar=np.radians(mean)) for mean in (15.0, 30.0))
-LAWS = (
-    hapke.reflectance,
-    lommel_seeliger,
-    lambert,
-    partial(hapke.reflectance, surface=SMOOTH),
-    partial(hapke.reflectance, surface=ROUGH),
-)
+ROUGHNESSES_DEG = 15.0, 30.0
 SPHERE_NODES = 60  # a side of the half disc that is integrated
 MIN_SKY_PIXELS = 100
 MIN_PIXELS = 3  # lit; a hot pixel is one, two when they touch
@@ -68,8 +62,16 @@ class LightMoments:
     second: FloatArray
 
 
-def compute_sphere_moments(phase: float) -> list[LightMoments]:
-    """Moments of an illuminated sphere for each of LAWS, at a phase angle, rad."""
+def list_laws(surface: HapkeParameters = LUNAR) -> list[SurfaceLaw]:
+    """The laws that a disc's light may follow: Hapke's, two simple ones, smoother and rougher."""
+    laws = [find_law(name, surface) for name in ("hapke", "lommel_seeliger", "lambert")]
+    for mean in ROUGHNESSES_DEG:
+        laws.append(find_law("hapke", surface._replace(theta_bar=np.radians(mean))))
+    return laws
+
+
+def compute_sphere_moments(phase: float, surface: HapkeParameters = LUNAR) -> list[LightMoments]:
+    """Moments of an illuminated sphere for each of `list_laws`, at a phase angle, rad."""
     # nodes on the lit half: x and y of the disc, brightness is even in y
     u = (np.arange(2 * SPHERE_NODES) + 0.5) / SPHERE_NODES - 1.0
     v = (np.arange(SPHERE_NODES) + 0.5) / SPHERE_NODES
@@ -79,7 +81,7 @@ def compute_sphere_moments(phase: float) -> list[LightMoments]:
     mu = np.sqrt(1.0 - x**2 - y**2)
     mu0 = x * np.sin(phase) + mu * np.cos(phase)
     moments = []
-    for law in LAWS:
+    for law in list_laws(surface):
         light = law(mu0, mu, np.cos(phase))
         light = light / light.sum()
         offset = float(light @ x)
@@ -236,13 +238,13 @@ def compute_light_moments(
     sun_body: FloatArray,
     phase: float,
 ) -> list[LightMoments]:
-    """Moments for each of LAWS.
+    """Moments for each of `list_laws`.
 
     axes_body  (3, 3) rows: x and y of the picture and the direction to the camera, body frame
     sun_body   (3,) unit vector;  phase  rad, between Sun and camera
     """
     if is_round(body):
-        return compute_sphere_moments(phase)
+        return compute_sphere_moments(phase, body.photometry.surface)
     middles, across = _sample_ground(body, relief)
     areas = np.linalg.norm(across, axis=1)
     normals = across / areas[:, None]
@@ -256,7 +258,7 @@ def compute_light_moments(
             _shade(relief.heights, relief.radius_m, highest, places, towards, lit)
     places = middles[lit] @ axes_body[:2].T
     moments = []
-    for law in LAWS:
+    for law in list_laws(body.photometry.surface):
         light = law(mu0[lit], mu[lit], np.cos(phase)) * mu[lit] * areas[lit]
         light /= light.sum()
         offset = light @ places
@@ -314,7 +316,7 @@ def _sample_ground(body: Body, relief: GlobalRelief | None) -> tuple[FloatArray,
 
 
 class DiscErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Fitted numbers of FILE, which says what each is; law_prior is in the order of LAWS."""
+    """Fitted numbers of FILE, which says what each is; law_prior is in the order of `list_laws`."""
 
     blur_px: Positive
     blur_sigma_px: Positive

@@ -14,7 +14,7 @@ from scipy.special import ndtr
 
 from catalog.arrays import FloatArray
 from catalog.geometry.kernel import kernel
-from catalog.photometry import hapke
+from catalog.photometry.laws import LUNAR_HAPKE
 
 POWERS = 5  # x^0, x^1/2, ..., x^2
 LOWEST, HIGHEST, STEP = -8.0, 24.0, 0.02  # of the distance in blur widths
@@ -111,5 +111,5 @@ def evaluate_three_laws(
     # deep and scatter twice as much from picture to picture where pixels are below 1 km.
     mu0, mu = np.maximum(mu0, 1e-4), np.sqrt(mu**2 + 0.1**2)
     mirror = math.sqrt(max(0.5 * (1.0 + cos_mid_phase), 1e-4))
-    standard = float(hapke.reflectance(mirror, mirror, cos_mid_phase))
-    return [hapke.reflectance(mu0, mu, cos_phase) / standard, 2.0 * mu0 / (mu0 + mu), mu0 / mirror]
+    standard = float(LUNAR_HAPKE(mirror, mirror, cos_mid_phase))
+    return [LUNAR_HAPKE(mu0, mu, cos_phase) / standard, 2.0 * mu0 / (mu0 + mu), mu0 / mirror]

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, IndexArray
-from catalog.photometry.hapke import LUNAR
+from catalog.photometry.hapke import HapkeParameters
 from catalog.rendering.mesh_scene import LIFT, select_sunward, shade_faces
 from catalog.terrain.mesh.rays import MeshRays
 from optnav_cli.camera.camera import Camera
@@ -24,6 +24,18 @@ LEVEL_PX = (1.0, 4.0)  # beside an edge, where its two levels are measured
 # Pieces of the drawn light that are matched, steps of the grid, and when one is taken.
 PIECE, PIECE_STEP, BLUR = 12, 8, 1.0
 MIN_LIT, MIN_CONTRAST, MIN_SCORE = 0.6, 0.12, 0.65
+
+
+class LitShape(NamedTuple):
+    """A shape and Hapke's parameters of its ground."""
+
+    mesh: MeshRays
+    surface: HapkeParameters
+
+    @property
+    def reach_m(self) -> float:
+        """Largest distance of its ground from the centre, m."""
+        return self.mesh.reach_m
 
 
 class DrawnShape(NamedTuple):
@@ -47,7 +59,7 @@ class DrawnShape(NamedTuple):
 
 
 def draw_shape(
-    mesh: MeshRays,
+    ground: LitShape,
     camera: Camera,
     camera_from_body: Rotation,
     position: FloatArray,
@@ -60,6 +72,7 @@ def draw_shape(
     box    centre x, y and half a side, px;  nodes  a side of the grid
     """
     x, y, half = box
+    mesh = ground.mesh
     step = 2.0 * half / (nodes - 1)
     offsets = (np.arange(nodes) - (nodes - 1) / 2.0) * step
     pixels = np.stack(np.meshgrid(x + offsets, y + offsets), axis=-1)
@@ -72,12 +85,12 @@ def draw_shape(
     numbers, starts = select_sunward(mesh.corners, faces, position, rays, depth, sun_body, lift)
     flat = np.zeros(len(rays), np.float32)
     lit = numbers[~mesh.are_blocked(starts, sun_body)]
-    shade_faces(mesh.corners, faces, rays, lit, sun_body, LUNAR, flat)
-    ground = (faces >= 0).reshape(nodes, nodes)
+    shade_faces(mesh.corners, faces, rays, lit, sun_body, ground.surface, flat)
+    shown: BoolArray = (faces >= 0).reshape(nodes, nodes)
     light = flat.reshape(nodes, nodes)
-    distance = np.where(ground, depth.reshape(nodes, nodes), np.inf)
+    distance = np.where(shown, depth.reshape(nodes, nodes), np.inf)
     rows, cols, shift, outward, outer = _find_drawn_edges(
-        ground, distance, light, step / camera.focal_length_px
+        shown, distance, light, step / camera.focal_length_px
     )
     at = rows * nodes + cols
     places = position + depth[at, None] * rays[at]

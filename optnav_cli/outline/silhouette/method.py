@@ -32,6 +32,7 @@ from optnav_cli.outline.silhouette.edges import (
     PIECE,
     PIECE_STEP,
     DrawnShape,
+    LitShape,
     draw_shape,
     find_edges,
     match_light,
@@ -107,25 +108,25 @@ def navigate(
     clean = remove_smear(lit.picture, lit.levels)
     if clean is not None:
         lit = Segmented(clean)
-    mesh, levels = _make_mesh(relief), lit.levels
+    ground, levels = LitShape(_make_mesh(relief), body.photometry.surface), lit.levels
     mask = _find_lit_mask(lit)
     # the lit shape is whole: pixels without a value lie beside it
     values = np.nan_to_num(lit.picture, nan=levels.sky)
-    position = _solve_by_moments(mask, mesh, view)
+    position = _solve_by_moments(mask, ground, view)
     turn = view.camera_from_body
     smooth = np.asarray(cv2.GaussianBlur(values, (0, 0), 0.7), dtype=np.float32)
     turned = np.zeros(3)
-    across = 2.0 * mesh.reach_m / float(np.linalg.norm(position)) * view.camera.focal_length_px
+    across = 2.0 * ground.reach_m / float(np.linalg.norm(position)) * view.camera.focal_length_px
     # Edges are searched to these shares of the shape on either side.
     for share in (0.12, 0.12, 0.08, 0.05, 0.03, 0.02, 0.02, 0.02):
         reach = max(share * across, 4.0)
-        last = _fit_edges(smooth, mesh, view, turn, position, levels, reach, turned)
+        last = _fit_edges(smooth, ground, view, turn, position, levels, reach, turned)
         position, turn, turned = _move_pose(position, turn, turned, last.fit.change)
-    _check(values, last, mesh, view, turn, position, across)
+    _check(values, last, ground, view, turn, position, across)
     light = None
     # Grid steps that pieces of the light are searched to all sides.
     for steps in (8, 4, 3):
-        light_fit = _fit_light(values, mesh, view, turn, position, steps, turned)
+        light_fit = _fit_light(values, ground, view, turn, position, steps, turned)
         if light_fit is None:
             break
         light = light_fit
@@ -158,19 +159,19 @@ def _find_lit_mask(lit: Segmented) -> BoolArray:
     return mask
 
 
-def _solve_by_moments(mask: BoolArray, mesh: MeshRays, view: CameraView) -> FloatArray:
+def _solve_by_moments(mask: BoolArray, ground: LitShape, view: CameraView) -> FloatArray:
     """Find a coarse position (3,) whose drawn lit shape has the centre and area of the mask."""
     camera, turn = view.camera, view.camera_from_body
     rows, cols = np.nonzero(mask)
     centre, area = np.array([cols.mean(), rows.mean()]), float(mask.sum())
     towards = centre.copy()
-    distance = 0.5 * mesh.reach_m * camera.focal_length_px / np.sqrt(area / np.pi)
+    distance = 0.5 * ground.reach_m * camera.focal_length_px / np.sqrt(area / np.pi)
     for _ in range(8):
         position = _place_camera(camera, turn, towards, distance)
         # The drawing is 1.35 reaches of the shape to each side.
-        half = 1.35 * mesh.reach_m / distance * camera.focal_length_px
+        half = 1.35 * ground.reach_m / distance * camera.focal_length_px
         box = float(towards[0]), float(towards[1]), half
-        drawn = draw_shape(mesh, camera, turn, position, view.sun_body, box, 72)
+        drawn = draw_shape(ground, camera, turn, position, view.sun_body, box, 72)
         bright = drawn.light > 0.0
         if not bright.any():
             raise NoSolutionError(
@@ -191,20 +192,20 @@ def _place_camera(
     return position
 
 
-def _draw(mesh: MeshRays, view: CameraView, turn: Rotation, position: FloatArray) -> DrawnShape:
+def _draw(ground: LitShape, view: CameraView, turn: Rotation, position: FloatArray) -> DrawnShape:
     """Draw the shape at a pose on a grid of one pixel, or coarser for a large shape."""
     camera, distance = view.camera, float(np.linalg.norm(position))
     x, y = camera.project(turn.apply(-position))
-    if not np.isfinite([x, y]).all() or distance < 1.2 * mesh.reach_m:
+    if not np.isfinite([x, y]).all() or distance < 1.2 * ground.reach_m:
         raise NoSolutionError("the silhouette leads to no pose", ReasonCode.NOT_SETTLED)
-    half = 1.05 * mesh.reach_m / distance * camera.focal_length_px + 6.0
+    half = 1.05 * ground.reach_m / distance * camera.focal_length_px + 6.0
     nodes = int(min(384, np.ceil(2.0 * half)))
-    return draw_shape(mesh, camera, turn, position, view.sun_body, (x, y, half), nodes)
+    return draw_shape(ground, camera, turn, position, view.sun_body, (x, y, half), nodes)
 
 
 def _fit_edges(
     picture: Float32Array,
-    mesh: MeshRays,
+    ground: LitShape,
     view: CameraView,
     turn: Rotation,
     position: FloatArray,
@@ -213,7 +214,7 @@ def _fit_edges(
     turned: FloatArray,
 ) -> _Step:
     """Fit edges once: draw them at a pose, find them in the picture, fit the pose to them."""
-    drawn = _draw(mesh, view, turn, position)
+    drawn = _draw(ground, view, turn, position)
     offsets = find_edges(picture, drawn, reach, levels.sky, levels.threshold)
     used = np.isfinite(offsets)
     if used.sum() < MIN_EDGES:
@@ -235,7 +236,7 @@ def _fit_edges(
 
 def _fit_light(
     values: Float32Array,
-    mesh: MeshRays,
+    ground: LitShape,
     view: CameraView,
     turn: Rotation,
     position: FloatArray,
@@ -243,7 +244,7 @@ def _fit_light(
     turned: FloatArray,
 ) -> _EdgeFit | None:
     """Fit the light on the shape once; None where too little of it is matched."""
-    drawn = _draw(mesh, view, turn, position)
+    drawn = _draw(ground, view, turn, position)
     places, moves = match_light(values, drawn, steps)
     if len(places) < 25:
         return None
@@ -304,7 +305,7 @@ def _invert(normal: FloatArray) -> FloatArray:
 def _check(
     values: Float32Array,
     last: _Step,
-    mesh: MeshRays,
+    ground: LitShape,
     view: CameraView,
     turn: Rotation,
     position: FloatArray,
@@ -314,7 +315,7 @@ def _check(
     kept = last.fit.weights > 0.0
     share = float(kept.sum() / len(last.used))
     sectors = np.unique(_group_by_sector(last.drawn)[last.used][kept]).size
-    drawn = _draw(mesh, view, turn, position)
+    drawn = _draw(ground, view, turn, position)
     x, y = (np.ascontiguousarray(drawn.pixels[..., k], np.float32) for k in range(2))
     shown = cv2.remap(values, x, y, cv2.INTER_LINEAR)
     # roots: a few glints count no more than the ground

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from catalog.photometry import hapke
-from catalog.photometry.hapke import LUNAR, HapkeParameters
+from catalog.photometry.hapke import HapkeParameters
+from catalog.photometry.sets import LUNAR
 
 SMOOTH = LUNAR._replace(theta_bar=0.0)
 ROUGHER = LUNAR._replace(theta_bar=math.radians(35.0))
@@ -119,7 +120,9 @@ def test_brightness_is_never_negative_and_always_finite(surface):
 
 
 def test_brightness_is_zero_without_sun_or_sight():
-    assert (hapke.reflectance([0.0, -0.2, 0.5, 0.5], [0.5, 0.5, 0.0, -0.2], 0.3) == 0.0).all()
+    assert (
+        hapke.reflectance([0.0, -0.2, 0.5, 0.5], [0.5, 0.5, 0.0, -0.2], 0.3, LUNAR) == 0.0
+    ).all()
 
 
 def test_the_law_agrees_with_its_second_writing():
@@ -129,7 +132,9 @@ def test_the_law_agrees_with_its_second_writing():
         psi = rng.uniform(0.01, 3.0)
         cos_g = np.cos(i) * np.cos(e) + np.sin(i) * np.sin(e) * np.cos(psi)
         expected = written_again(i, e, psi, LUNAR)
-        assert hapke.reflectance(np.cos(i), np.cos(e), cos_g) == pytest.approx(expected, rel=1e-7)
+        assert hapke.reflectance(np.cos(i), np.cos(e), cos_g, LUNAR) == pytest.approx(
+            expected, rel=1e-7
+        )
 
 
 def test_a_dark_smooth_surface_scatters_once():
@@ -149,14 +154,14 @@ def test_roughness_vanishes_smoothly():
 def test_the_two_branches_of_roughness_meet():
     mu = np.linspace(0.05, 0.95, 50)
     cos_g = mu * mu + (1 - mu * mu) * np.cos(1.0)
-    over = hapke.reflectance(mu * (1 + 1e-9), mu, cos_g)
-    under = hapke.reflectance(mu * (1 - 1e-9), mu, cos_g)
+    over = hapke.reflectance(mu * (1 + 1e-9), mu, cos_g, LUNAR)
+    under = hapke.reflectance(mu * (1 - 1e-9), mu, cos_g, LUNAR)
     np.testing.assert_allclose(over, under, rtol=1e-6)
 
 
 def test_brightness_surges_towards_zero_phase():
     phases = np.radians([0.0, 1.0, 2.0, 5.0, 10.0, 20.0])
-    values = hapke.reflectance(np.cos(phases), 1.0, np.cos(phases))
+    values = hapke.reflectance(np.cos(phases), 1.0, np.cos(phases), LUNAR)
     assert (np.diff(values) < 0).all()
     assert values[0] > 1.2 * values[3]
 

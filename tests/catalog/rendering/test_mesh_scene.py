@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from catalog.photometry.hapke import LUNAR, reflectance_scalar
+from catalog.photometry.hapke import reflectance_scalar
+from catalog.photometry.sets import LUNAR
 from catalog.rendering.mesh_scene import MeshScene
 from catalog.terrain.mesh.rays import MeshRays, intersect_all
 

@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 
 from catalog.geometry.grid import interpolate_bilinear
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
-from catalog.photometry import hapke
+from catalog.photometry.laws import LUNAR_HAPKE
 from catalog.rendering.rays.ground import Ground, crop_surroundings, make_ground, make_whole_sphere
 from catalog.rendering.rays.light import compute_lit_share
 from catalog.rendering.rays.march import CROSSING_M, FINE, SKY, WIDE, Ray, intersect_ground, refine
@@ -176,7 +176,7 @@ def test_a_smooth_sphere_has_the_radiance_of_the_law(flat_is_fine: bool):
         along = origin @ ray
         point = origin + ray * (-along - np.sqrt(along**2 - origin @ origin + RADIUS_M**2))
         normal = point / RADIUS_M
-        expected = hapke.reflectance(normal @ scene.sun, -normal @ ray, -ray @ scene.sun)
+        expected = LUNAR_HAPKE(normal @ scene.sun, -normal @ ray, -ray @ scene.sun)
         # the picture is a mean over a pixel, the law is at its middle
         assert picture[row, col] == pytest.approx(float(expected), rel=2e-3)
 

@@ -7,6 +7,7 @@ import rasterio
 
 from catalog.config import resource
 from catalog.correlation.filters import HIGH_PASS_NODES, filter_high_pass
+from catalog.photometry.laws import find_law
 from catalog.rendering.map_view import render_map
 from catalog.selection.localisation import (
     compute_azimuth_products,
@@ -112,7 +113,7 @@ def test_the_closed_form_ranks_ground_as_renders_do(tycho):
     # smoothed, so that both difference stencils see the same; high Sun, so that there is no shadow
     smooth = cv2.GaussianBlur(tycho, (0, 0), 2.0)
     direction = sun(30.0, 50.0)
-    picture = render_map(smooth, POSTING_M, direction, radius_m=MOON_M, law="lambert")
+    picture = render_map(smooth, POSTING_M, direction, radius_m=MOON_M, law=find_law("lambert"))
     predicted, rendered = [], []
     for row in range(2, 190, 31):
         for col in range(2, 190, 31):

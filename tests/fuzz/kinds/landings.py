@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from optnav_cli.calibration.settings import CalibrateSettings
+from optnav_cli.calibration.model import CalibrateSettings
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.hazard.settings import HazardSettings
 from tests.fuzz.cases import DATA, NOTHING, OK, OPEN, REFUSED, USAGE, Case, Place, kind

@@ -11,8 +11,12 @@ from catalog.geometry.rotations import ARCSEC
 from optnav_cli.calibration import adjustment
 from optnav_cli.calibration.adjustment import AdjustedFrame, adjust, compute_residuals
 from optnav_cli.calibration.job import check_points
-from optnav_cli.calibration.model import estimate_frame_motions, find_inseparable, find_tied_pairs
-from optnav_cli.calibration.settings import CalibrateSettings
+from optnav_cli.calibration.model import (
+    CalibrateSettings,
+    estimate_frame_motions,
+    find_inseparable,
+    find_tied_pairs,
+)
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera
 from optnav_cli.estimation.models.common import Common, CommonState

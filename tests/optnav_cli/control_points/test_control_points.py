@@ -27,7 +27,7 @@ from optnav_cli.control_points.settings import MatchSettings, NavigateSettings, 
 from optnav_cli.control_points.solve import FEW
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import PositionPrior, UnsolvedFrameError
-from optnav_cli.frames.observation import Observation
+from optnav_cli.frames.folder import Observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.reasons import ReasonCode
 

@@ -10,7 +10,7 @@ from optnav_cli.control_points import method
 from optnav_cli.control_points.acceptance import drop_disproven
 from optnav_cli.control_points.settings import NavigateSettings
 from optnav_cli.fix import PositionPrior, UnsolvedFrameError
-from optnav_cli.frames.observation import Observation
+from optnav_cli.frames.folder import Observation
 from optnav_cli.frames.picture import Picture
 from optnav_cli.reasons import ReasonCode
 

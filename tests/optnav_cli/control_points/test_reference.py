@@ -8,6 +8,7 @@ from catalog.control_point import Patch
 from catalog.geometry.grid import interpolate_bicubic
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import Stereographic, make_node_grid
+from catalog.photometry.laws import find_law
 from catalog.rendering.map_view import render_map
 from optnav_cli.control_points.reference import Reference, _fill_from
 
@@ -102,7 +103,7 @@ def test_a_reference_is_the_rendered_patch_and_dark_in_the_ground_s_shadow(refer
         120.0,
         sun @ turn,
         camera_local=camera @ turn - [0.0, 0.0, reference.radius_m],
-        law="lommel_seeliger",
+        law=find_law("lommel_seeliger"),
         radius_m=reference.radius_m,
     )
     assert rendered.shape == (64, 64)

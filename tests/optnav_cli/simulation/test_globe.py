@@ -12,7 +12,7 @@ from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.latlon import Lattice, latlon_from_xyz, xyz_from_latlon
-from catalog.photometry import hapke
+from catalog.photometry.laws import LUNAR_HAPKE
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
@@ -72,7 +72,7 @@ def exact_sphere(camera: Camera, shot: Exposure, samples: int, inside: np.ndarra
     normal = point / RADIUS_M
     value = np.zeros(len(rays))
     mu0 = normal[hit] @ shot.sun_body
-    seen = hapke.reflectance(
+    seen = LUNAR_HAPKE(
         np.maximum(mu0, 0.0), -(normal[hit] * rays[hit]).sum(1), -rays[hit] @ shot.sun_body
     )
     value[hit] = np.where(mu0 > 0.0, seen, 0.0)
