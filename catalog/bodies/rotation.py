@@ -226,7 +226,7 @@ def is_earth_orientation(path: Path) -> bool:
 
     Raises DataError for a missing file.
     """
-    head = read_input(path, "kernel or IERS table")[:8].lstrip()
+    head = read_input(path, "SPICE kernel or IERS table")[:8].lstrip()
     return not head.startswith((b"DAF/", b"KPL/", b"NAIF/"))
 
 
