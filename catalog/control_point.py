@@ -67,15 +67,16 @@ class ComparisonShift:
 
 @dataclass(frozen=True)
 class Patch:
-    """Heights around a control point at one pyramid level.
+    """Heights, and perhaps brightness, around a control point at one pyramid level.
 
     heights_m (n, n) float32, NaN for no data; row 0 is north, column 0 west, in the point's
     projection: above the body's reference sphere in the oblique stereographic one, above the plane
-    in a tangent plane.
+    in a tangent plane. brightness (n, n) float32 of an orthoimage, any unit, NaN for none.
     """
 
     posting_m: float
     heights_m: Float32Array
+    brightness: Float32Array | None = None
 
     @property
     def size(self) -> int:

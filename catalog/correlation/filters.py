@@ -173,6 +173,32 @@ def _blur(grid: Float32Array, sigma_nodes: float) -> Float32Array:
     return np.asarray(cv2.GaussianBlur(grid, (0, 0), sigma_nodes), dtype=np.float32)
 
 
+# Edges are measured on a grid blurred by so many nodes, and weighed against those within so many.
+EDGE_BLUR_NODES, EDGE_REACH_NODES = 1.0, 8.0
+MAX_EDGE = 2.0  # of their local rms: a coast or a cloud's border must not outweigh all fields
+
+
+def measure_edges(brightness: Float32Array) -> Float32Array:
+    """Measure how strong edges are, against the local rms; whichever side is bright.
+
+    Fields change from season to season, their borders stay. Over fields of another season and tone
+    this finds 90 % of templates, brightness 67 %, mutual information 64 % (`make study-kmss`).
+    brightness (rows, cols), NaN for no data, which has no edges; returns the same shape, >= 0.
+    """
+    valid = np.isfinite(brightness)
+    filled = filter_low_pass(brightness, EDGE_BLUR_NODES)
+    filled = np.where(valid, filled, np.float32(np.nanmean(brightness) if valid.any() else 0.0))
+    gx, gy = (cv2.Sobel(filled, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
+    edges = np.hypot(gx, gy)
+    if not valid.all():
+        inside = cv2.erode(valid.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        edges = np.where(inside, edges, np.float32(0.0))
+    local = np.sqrt(_blur(edges * edges, EDGE_REACH_NODES))
+    floor = np.float32(MIN_CONTRAST) * np.abs(filled).max()
+    measured = np.minimum(edges / np.maximum(local, floor + np.float32(1e-30)), MAX_EDGE)
+    return np.where(valid, measured, np.float32(np.nan)).astype(np.float32)
+
+
 class Filtered(NamedTuple):
     """A grid made ready to be correlated, perhaps with many others.
 

@@ -142,6 +142,7 @@ class _Build:
             self.workers = make_workers(self.count)
         else:  # self.count threads read terrain models, here
             names = [dem.path for dem in config.dem] + [mesh.path for mesh in config.mesh]
+            names += [image.path for image in config.image]
             named = [resolve_path(name, source.path.parent) for name in names]
             self.workers = start_cluster_workers(scheduler, [workspace.path(MARK), *named])
         self.account = Account(f"optnav {catalog.__version__}", self.workers.count)
@@ -274,7 +275,13 @@ class _Build:
         relief = inputs.relief
         key = compute_stage_key(
             inputs.keys["write"],
-            *(inputs.sources(), self.config_text, relief and relief.key, inputs.errors),
+            *(
+                inputs.sources(),
+                self.config_text,
+                relief and relief.key,
+                inputs.errors,
+                inputs.image,
+            ),
         )
         written = find_published(self.workspace, key, output)
         if written is not None:
@@ -287,7 +294,12 @@ class _Build:
                 write.group_points(inputs.chunks, points),
                 output,
                 extras=CatalogExtras(
-                    inputs.sources(), self.config_text, shape, inputs.errors, inputs.comparison
+                    inputs.sources(),
+                    self.config_text,
+                    shape,
+                    inputs.errors,
+                    inputs.comparison,
+                    inputs.image,
                 ),
                 results=prepared,
                 workers=self.workers,

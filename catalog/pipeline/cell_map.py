@@ -17,7 +17,11 @@ from catalog.geometry.projection import MapProjection
 from catalog.pipeline.config import RenderSettings
 from catalog.pipeline.context import StageContext
 from catalog.rendering.sun_samples import sun_samples
-from catalog.selection.localisation import compute_hessian_eigenvalue_map, compute_sun_products
+from catalog.selection.localisation import (
+    compute_brightness_eigenvalue_map,
+    compute_hessian_eigenvalue_map,
+    compute_sun_products,
+)
 
 RELAXED = 0.5  # of the spacing: what a cell may fall back to that would have no point otherwise
 STEPS_PER_WINDOW = 16  # the response hardly changes over a sixteenth of its window
@@ -122,7 +126,7 @@ def choose_spaced(
 class CellGround(NamedTuple):
     """The ground of a cell and the places in it.
 
-    projection  about the cell's middle; heights (n, n) m at the finest posting
+    projection  about the cell's middle; heights (n, n) m at the finest posting, or brightness
     step        nodes between places; place [i, j] is the middle of the window of `window` nodes
                 whose first node is (i step, j step)
     lat, lon    (m, m) of the places, deg
@@ -153,7 +157,7 @@ def cut_cell_ground(context: StageContext, cell: int) -> CellGround | None:
     projection = context.projection(*context.grid.centre_deg(cell))
     window = settings.window_nodes
     side = _compute_ground_side(context, cell, window)
-    heights = context.mosaic.local_grid(projection, context.posting_m, side)
+    heights = context.texture.local_grid(projection, context.posting_m, side)
     if not np.isfinite(heights).any():
         return None
     step = compute_place_step(window)
@@ -172,14 +176,14 @@ def cut_cell_ground(context: StageContext, cell: int) -> CellGround | None:
 def find_strongest(context: StageContext, cell: int, ground: CellGround) -> list[tuple[int, int]]:
     """Places of a cell's ground with the strongest response under its worst Sun, best first."""
     latitude = context.sun_latitude_deg(*context.grid.centre_deg(cell))
-    suns = sample_suns(context.config.render, latitude)
-    response = compute_hessian_eigenvalue_map(
-        blur_grid(ground.heights),
-        context.posting_m,
-        ground.window,
-        compute_sun_products(suns),
-        ground.step,
-    )
+    grid = blur_grid(ground.heights)
+    if context.image is not None:
+        response = compute_brightness_eigenvalue_map(grid, ground.window, ground.step)
+    else:
+        products = compute_sun_products(sample_suns(context.config.render, latitude))
+        response = compute_hessian_eigenvalue_map(
+            grid, context.posting_m, ground.window, products, ground.step
+        )
     radius = compute_separation(context, ground)
     free = np.where(ground.inside & ground.covered, response, np.nan)
     peaks = find_peaks(free, radius, context.config.render.candidates)
@@ -216,7 +220,7 @@ def measure_missing_share(
     spread = posting_m * (context.size - 1) / (COVERAGE_LATTICE - 1)
     x, y = np.meshgrid(*(2 * [spread * (np.arange(COVERAGE_LATTICE) - (COVERAGE_LATTICE - 1) / 2)]))
     lat, lon = projection.latlon(x, y)
-    return float(1.0 - context.mosaic.covers(lat, lon, posting_m).mean())
+    return float(1.0 - context.texture.covers(lat, lon, posting_m).mean())
 
 
 def compute_separation(context: StageContext, ground: CellGround) -> float:
@@ -267,7 +271,7 @@ def _mark_fine_ground(
     spacing = 2.0 * reach / (nodes - 1)
     lattice = spacing * (np.arange(nodes) - (nodes - 1) / 2.0)
     lat, lon = projection.latlon(*np.meshgrid(lattice, -lattice))
-    return context.mosaic.covers(lat, lon, context.postings_m[level]), spacing, half
+    return context.texture.covers(lat, lon, context.postings_m[level]), spacing, half
 
 
 def has_whole_patches(context: StageContext, cell: int) -> bool:

@@ -41,6 +41,7 @@ TRIAL_LEVELS = 2  # the search starts one level above the finest
 # one place says nothing of another's, and drawing it costs more than the trials.
 GROUNDS = 8
 SUN_AZIMUTHS = 4
+IMAGE_SCORE = 0.3
 MAX_RELIEF = 0.4  # of the radius: the posting below which relief is added; craters have twice it
 # Room on every side of the square that uniqueness describes, nodes of its level.
 UNIQUENESS_ROOM = 8
@@ -82,6 +83,7 @@ def run_trials(
         lowest=np.radians(settings.sun_min_deg),
         highest=np.radians(settings.sun_max_deg),
     ).reshape(trials, SUN_AZIMUTHS, 3)
+    law = None if context.image else find_law("hapke", context.body.photometry.surface)
     for number in range(trials):
         circumstances = draw_circumstances(
             np.random.default_rng([*seed, number]),
@@ -98,9 +100,10 @@ def run_trials(
             [*seed, number, 1],
             projection.radius_m,
             search,
-            Gate(settings.min_score, settings.rival_ratio),
+            # images of other seasons agree less than renders do: as navigation accepts them
+            Gate(IMAGE_SCORE if context.image else settings.min_score, settings.rival_ratio),
             outer=[(patch.heights_m, patch.posting_m) for patch in outer],
-            law=find_law("hapke", context.body.photometry.surface),
+            law=law,
         )
 
 
@@ -127,6 +130,10 @@ def _cut_levels(
         # the first of a search finds the way only: as recognised from a quarter of the nodes
         finer = FINER if patch is patches[0] else 1
         size, posting = compute_truth_size(search, finer), patch.posting_m / finer
+        if context.image is not None and patch.brightness is not None:
+            shown = context.image.local_grid(projection, posting, size)
+            levels.append(Level(patch.brightness, shown, patch.posting_m, 0.0, finer))
+            continue
         beyond = known, smallest, size, terrain.body.radius_m, slope_deg
         truth = terrain.local_grid(projection, posting, size)
         truth = truth + _draw_relief(ground % GROUNDS, posting, *beyond)
@@ -207,9 +214,9 @@ class Certificate:
         settings, candidate, context = self.settings, self.place, self._context
         flags = Flag.NONE
         # of a whole raster no patch has a hole; a mesh may overhang
-        if not (context.mosaic.covers_body and context.mosaic.has_graticules):
+        if not (context.texture.covers_body and context.texture.has_graticules):
             fine = self.patches[: cell_map.FINE_LEVELS]
-            if max(np.isnan(patch.heights_m).mean() for patch in fine) > cell_map.MAX_MISSING:
+            if max(map(_measure_holes, fine)) > cell_map.MAX_MISSING:
                 flags |= Flag.NO_DATA
         if not candidate.localisation_nodes <= settings.max_localisation_nodes:
             flags |= Flag.FLAT
@@ -227,7 +234,8 @@ class Certificate:
         suns = cell_map.sample_suns(
             context.config.render, context.sun_latitude_deg(candidate.lat_deg, candidate.lon_deg)
         )
-        if measure_shadowed_share(self.shadow_limits_deg, suns) > settings.max_shadowed:
+        shadowed = measure_shadowed_share(self.shadow_limits_deg, suns)
+        if context.image is None and shadowed > settings.max_shadowed:
             flags |= Flag.SHADOWED
         return flags
 
@@ -297,6 +305,12 @@ class Certificate:
             outcome = next(self._outcomes)
             self.trials += 1
             self.successes += outcome.accepted and outcome.distance <= settings.max_error_nodes
+
+
+def _measure_holes(patch: Patch) -> float:
+    """Measure the share of a patch's nodes without ground or, where it has one, image."""
+    holes = np.isnan(patch.heights_m)
+    return float((holes if patch.brightness is None else holes | np.isnan(patch.brightness)).mean())
 
 
 def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[ControlPoint]:
@@ -379,7 +393,11 @@ def _measure_uniqueness(
         coarsest = patch is patches[-1]
         reach = settings.search_km * 1e3 / patch.posting_m if coarsest else FINE_SEARCH_NODES
         ground, law = (patch.heights_m, patch.posting_m), find_law("lommel_seeliger")
-        pictures = (render_map(*ground, sun, radius_m=projection.radius_m, law=law) for sun in suns)
+        pictures = (
+            [patch.brightness]
+            if patch.brightness is not None
+            else [render_map(*ground, sun, radius_m=projection.radius_m, law=law) for sun in suns]
+        )
         margins.append(min(compute_uniqueness_margin(picture, side, reach) for picture in pictures))
     return tuple(margins)
 

@@ -1,6 +1,6 @@
 """The build config: one TOML file; every section but [body] and the ground may be left out.
 
-The ground is one or more [[dem]], or one [[mesh]].
+The ground is one or more [[dem]], or one [[mesh]]. An [[image]] stands beside [[dem]] or alone.
 
 A section's settings are a struct of its own here; values that depend on each other are checked.
 """
@@ -20,6 +20,7 @@ from catalog.config import BUNDLED, Positive, Slope, parse_toml, read_toml_text,
 from catalog.errors import ConfigError
 from catalog.photometry.sets import PhotometrySettings
 from catalog.store.manifest import LIMITS
+from catalog.terrain.dem.image import ImageSection
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.error_model import StatedError
 from catalog.terrain.mesh.file import MeshSettings
@@ -233,6 +234,7 @@ class BuildConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     body: BodySettings
     dem: tuple[DemSection, ...] = ()
     mesh: tuple[MeshSection, ...] = ()
+    image: tuple[ImageSection, ...] = ()
     relief: ReliefSettings = msgspec.field(default_factory=ReliefSettings)
     grid: GridSettings = msgspec.field(default_factory=GridSettings)
     pyramid: PyramidSettings = msgspec.field(default_factory=PyramidSettings)
@@ -289,6 +291,7 @@ class ConfigText:
         config = parse_toml(self.text, BuildConfig, self.path)
         for problem in chain(
             _find_ground_problems(config),
+            _find_image_problems(config),
             _find_comparison_problems(config),
             _find_size_problems(config),
         ):
@@ -302,8 +305,8 @@ def load_build_config(path: Path) -> BuildConfig:
 
 
 def _find_ground_problems(config: BuildConfig) -> Iterator[str]:
-    if not config.dem and not config.mesh:
-        yield "has no [[dem]] and no [[mesh]] section; name the body's ground"
+    if not config.dem and not config.mesh and not config.image:
+        yield "has no [[dem]], [[mesh]] or [[image]] section; name the body's ground"
     if config.mesh and (config.dem or config.relief.dem is not None):
         yield "has [[mesh]] beside terrain models; a mesh is all of a body: choose one kind"
     if len(config.mesh) > 1:
@@ -320,6 +323,17 @@ def _find_ground_problems(config: BuildConfig) -> Iterator[str]:
             yield f"{'[[mesh]]' if config.mesh else '[[dem]]'} {section.path}: {problem}"
     if config.relief.dem is not None and not config.relief.dem.path:
         yield "[relief] dem path is empty; name a terrain model of the whole body"
+
+
+def _find_image_problems(config: BuildConfig) -> Iterator[str]:
+    if config.image and config.mesh:
+        yield "has [[image]] beside [[mesh]]; images lie on terrain models or the ellipsoid"
+    if len(config.image) > 1:
+        many = len(config.image)
+        yield f"has {many} sections [[image]]; wanted one: join images with gdalbuildvrt"
+    for image in config.image:
+        if not image.path:
+            yield "[[image]] path is empty; name an orthoimage"
 
 
 def _find_comparison_problems(config: BuildConfig) -> Iterator[str]:

@@ -87,6 +87,7 @@ class StageContext:
     posting_m  of the finest patches, settled from the config or the DEM
     config     the whole build config; a stage reads its own section
     comparison a second terrain model of the same ground; None without one
+    image      brightness of the ground, which templates are; None: they are rendered
     """
 
     body: Body
@@ -95,6 +96,12 @@ class StageContext:
     posting_m: float
     config: BuildConfig
     comparison: Mosaic | None = None
+    image: Mosaic | None = None
+
+    @property
+    def texture(self) -> Terrain:
+        """Grids that points are chosen by: brightness where there is an image, else terrain."""
+        return self.mosaic if self.image is None else self.image
 
     @property
     def levels(self) -> int:
@@ -113,7 +120,8 @@ class StageContext:
 
     def files(self) -> list[Path]:
         """The terrain files that every stage reads."""
-        return self.mosaic.files() + (self.comparison.files() if self.comparison else [])
+        others = [model for model in (self.comparison, self.image) if model is not None]
+        return self.mosaic.files() + [path for model in others for path in model.files()]
 
     def projection(self, lat_deg: float, lon_deg: float) -> MapProjection:
         """The map projection centred on a place."""
@@ -131,7 +139,12 @@ class StageContext:
     def patches(self, lat_deg: float, lon_deg: float) -> tuple[Patch, ...]:
         """The patches of a control point at a place, finest first; NaN where there is no ground."""
         projection = self.projection(lat_deg, lon_deg)
+        image, size = self.image, self.size
         return tuple(
-            Patch(posting, self.mosaic.local_grid(projection, posting, self.size))
+            Patch(
+                posting,
+                self.mosaic.local_grid(projection, posting, size),
+                None if image is None else image.local_grid(projection, posting, size),
+            )
             for posting in self.postings_m
         )

@@ -23,6 +23,7 @@ from catalog.pipeline.context import DemRecord, IngestRun
 from catalog.pipeline.relief import ReliefRecord, make_or_keep
 from catalog.store.relief import prepare_relief
 from catalog.terrain.dem.file import resolve_path
+from catalog.terrain.dem.image import NO_HEIGHT, ImageSource, encode_ellipsoid
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import METRES, DemSettings, DemSource
 from catalog.terrain.mesh.file import MeshSettings
@@ -35,6 +36,7 @@ from catalog.terrain.terrain import Terrain
 
 log = logging.getLogger(__name__)
 
+IMAGE_SECTION = "its [[image]] section"
 LATTICE = 5  # points a side at which a cell is asked for ground
 BLOCK_CELLS = 16  # cells a side of a block whose terrain is read together: less of it twice
 MAX_CHUNK = 256  # cells in work at once: what a kill can lose
@@ -77,6 +79,36 @@ class MeshRecord(msgspec.Struct, frozen=True):
     hidden: float
 
 
+def ingest_image(run: IngestRun) -> tuple[Mosaic, DemRecord] | None:
+    """The image of a config's [[image]] with its overviews, made or kept; None without one.
+
+    Raises DataError for a file that cannot be used.
+    """
+    if not run.config.image:
+        return None
+    settings = run.config.image[0].settings
+    source = ImageSource.open(settings, run.folder, run.body, IMAGE_SECTION)
+    pyramid, record = _make_or_load(run, source, "image")
+    run.workspace.keep_only("image", {record.folder.removeprefix("image-")})
+    return Mosaic([pyramid]), record
+
+
+def list_ground_sections(run: IngestRun) -> list[DemSection]:
+    """The terrain models of the ground: those that are named, else the ellipsoid below an image."""
+    sections = run.config.select_dems("ground")
+    if sections or not run.config.image:
+        return sections
+    image = ImageSource.open(run.config.image[0].settings, run.folder, run.body, IMAGE_SECTION)
+    key = compute_stage_key(hash_package(), run.body.radii_m, image.latlon_bounds())
+    name = f"ellipsoid-{key}/ellipsoid.tif"
+    path = run.workspace.path(*name.split("/"))
+    if not path.is_file():
+        run.workspace.put(name, encode_ellipsoid(image))
+    image.close()
+    run.workspace.keep_only("ellipsoid", {key})
+    return [DemSection(str(path), heights="height", nodata=NO_HEIGHT, units="m")]
+
+
 def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord], Mosaic | None, list[DemRecord]]:
     """The mosaics of a config's [[dem]] sections; what the workspace holds already is kept.
 
@@ -84,7 +116,8 @@ def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord], Mosaic | None, list
     Raises DataError for a file that cannot be used, OutputError for a workspace that cannot.
     """
     ground, comparison = (
-        _read_models(run, run.config.select_dems(role)) for role in ("ground", "comparison")
+        _read_models(run, sections)
+        for sections in (list_ground_sections(run), run.config.select_dems("comparison"))
     )
     records = [[record for _, record in by_role] for by_role in (ground, comparison)]
     kept = {record.folder.removeprefix("dem-") for by_role in records for record in by_role}
@@ -101,25 +134,29 @@ def _read_models(
     run: IngestRun, sections: Sequence[DemSection]
 ) -> list[tuple[HeightPyramid, DemRecord]]:
     """Terrain models with their overviews, made or kept."""
-    body, workspace = run.body, run.workspace
     pyramids: list[tuple[HeightPyramid, DemRecord]] = []
     for section in sections:
         # what a model is for, and how far it is wrong, does not change how it is read
         settings = DemSettings(*(getattr(section, name) for name in DemSettings.__struct_fields__))
-        source = DemSource.open(settings, run.folder, body)
-        digest = hash_contents(source.files, workspace, run.progress)
-        # where the file lies, how it ranks and how it ends do not change its overviews
-        plain = {k: v for k, v in msgspec.structs.asdict(settings).items() if k not in UNIMPORTANT}
-        folder = f"dem-{compute_stage_key(FORMAT, body.name, body.radius_m, plain, digest)}"
-        path = workspace.path(folder)
-        pyramid = HeightPyramid.load(source, path)
-        if pyramid is None:
-            pyramid = HeightPyramid.build(source, path, run.workers, run.progress)
-            run.account.done += 1
-        else:
-            run.account.kept += 1
-        pyramids.append((pyramid, _record(pyramid, digest, folder)))
+        pyramids.append(_make_or_load(run, DemSource.open(settings, run.folder, run.body), "dem"))
     return pyramids
+
+
+def _make_or_load(run: IngestRun, source: DemSource, kind: str) -> tuple[HeightPyramid, DemRecord]:
+    """A source with its overviews in the workspace, in a folder named by `kind`."""
+    body, settings = run.body, source.settings
+    digest = hash_contents(source.files, run.workspace, run.progress)
+    # where the file lies, how it ranks and how it ends do not change its overviews
+    plain = {k: v for k, v in msgspec.structs.asdict(settings).items() if k not in UNIMPORTANT}
+    folder = f"{kind}-{compute_stage_key(FORMAT, body.name, body.radius_m, plain, digest)}"
+    path = run.workspace.path(folder)
+    pyramid = HeightPyramid.load(source, path)
+    if pyramid is None:
+        pyramid = HeightPyramid.build(source, path, run.workers, run.progress)
+        run.account.done += 1
+    else:
+        run.account.kept += 1
+    return pyramid, _record(pyramid, digest, folder)
 
 
 def _record(pyramid: HeightPyramid, digest: str, folder: str) -> DemRecord:

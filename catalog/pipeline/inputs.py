@@ -21,12 +21,14 @@ from catalog.pipeline.ingest import (
     cut_chunks,
     find_covered_cells,
     ingest,
+    ingest_image,
     ingest_mesh,
+    list_ground_sections,
     settle_mesh_relief,
     settle_pyramid,
 )
 from catalog.pipeline.relief import ReliefRecord, settle_relief
-from catalog.store.manifest import ComparisonMeta
+from catalog.store.manifest import ComparisonMeta, ImageMeta
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.error_model import TerrainErrorModel
 from catalog.terrain.terrain import Terrain
@@ -45,6 +47,7 @@ class BuildInputs:
     relief  of the whole body; None for a build of a part of it that names none
     errors  of the terrain models that state one, by name as in points' sources
     comparison  what the catalog says of a second terrain model; None without one
+    image       what it says of the image that templates are; None without one
     """
 
     context: StageContext
@@ -54,6 +57,7 @@ class BuildInputs:
     relief: ReliefRecord | None
     errors: dict[str, TerrainErrorModel]
     comparison: ComparisonMeta | None
+    image: ImageMeta | None = None
 
     @property
     def cells(self) -> int:
@@ -68,6 +72,8 @@ class BuildInputs:
             if name in sources and isinstance(dem, DemRecord):
                 name = f"{name} ({dem.priority})"
             sources[name] = dem.sha256
+        if self.image is not None:
+            sources[f"{self.image.name} (image)"] = self.image.sha256
         return sources | (self.relief.sources if self.relief is not None else {})
 
 
@@ -81,6 +87,8 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
     terrain: Terrain
     second: Mosaic | None = None
     compared: list[DemRecord] = []
+    image: Mosaic | None = None
+    image_meta: ImageMeta | None = None
     if config.mesh:
         pyramid, posting = settle_pyramid(run)
         config = msgspec.structs.replace(config, pyramid=pyramid)
@@ -92,18 +100,25 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
         read: list[tuple[object, ...]] = [(mesh.sha256, mesh.folder)]
     else:
         terrain, dems, second, compared = ingest(run)
-        posting = config.pyramid.posting_m or terrain.posting_m
-        _check_posting(run, posting, terrain.posting_m)
+        shown = ingest_image(run)
+        if shown is not None:
+            image, record = shown
+            error_m = config.image[0].error_m
+            image_meta = ImageMeta(record.name, record.sha256, error_m)
+        finest_m = (terrain if image is None else image).posting_m
+        posting = config.pyramid.posting_m or finest_m
+        _check_posting(run, posting, finest_m)
         _check_cells(run, posting)
-        cells = find_covered_cells(terrain, grid, bbox)
+        cells = find_covered_cells(terrain if image is None else image, grid, bbox)
         relief = settle_relief(run, terrain, dems)
         records = [*dems]
         # paths and ranks do not matter by themselves: what was read, and in which order, does
         read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
+        read += [] if shown is None else [(shown[1].sha256, shown[1].folder)]
     first = compute_stage_key(hash_package(), body.name, read, cells.tolist())
     others = [(dem.sha256, dem.folder) for dem in compared]
     keys = _make_stage_keys(first, config, posting, others, body.photometry)
-    context = StageContext(body, terrain, grid, posting, config, second)
+    context = StageContext(body, terrain, grid, posting, config, second, image)
     check_comparison(context, str(run.config_path), cells.tolist())
     errors = _collect_stated_errors(run, terrain.names, records)
     comparison = None
@@ -111,7 +126,7 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
         hashes = dict(zip(second.names, (dem.sha256 for dem in compared), strict=True))
         comparison = ComparisonMeta(hashes, config.comparison.max_shift_m)
     chunks = cut_chunks(grid, cells)
-    inputs = BuildInputs(context, records, chunks, keys, relief, errors, comparison)
+    inputs = BuildInputs(context, records, chunks, keys, relief, errors, comparison, image_meta)
     manifest = {
         "software": f"optnav {catalog.__version__}",
         "body": body.name,
@@ -168,7 +183,8 @@ def _collect_stated_errors(
 
     Raises ConfigError for one larger than the heights themselves.
     """
-    sections: list[DemSection | MeshSection] = [*run.config.select_dems("ground")]
+    ground = [] if run.config.mesh else list_ground_sections(run)
+    sections: list[DemSection | MeshSection] = [*ground]
     errors = {}
     for name, section, record in zip(names, sections or run.config.mesh, records, strict=True):
         error = TerrainErrorModel.make(make_stated_error(section), record.posting_m)

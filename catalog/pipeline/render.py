@@ -26,8 +26,13 @@ from catalog.pipeline.context import StageContext
 from catalog.pipeline.shortlist import make_shortlists
 from catalog.rasters import keep_gdal_settings
 from catalog.rendering.map_view import render_map_quickly
-from catalog.selection.localisation import compute_hessian_eigenvalue, predict_match
+from catalog.selection.localisation import (
+    compute_brightness_eigenvalue_map,
+    compute_hessian_eigenvalue,
+    predict_match,
+)
 from catalog.store.records import round_latlon
+from catalog.terrain.dem.mosaic import Mosaic
 
 # Ground about all windows that throws shadows into them. Farther relief is left out: under a Sun of
 # 8 deg what stands higher than a seventh of its distance would count.
@@ -116,6 +121,9 @@ def _score_places(
 
     One ground holds them all, rendered once a level and Sun, with what throws shadows from about.
     """
+    if context.image is not None:
+        yield from _score_brightness(context, context.image, places)
+        return
     settings = context.config.render
     law, window = find_law(settings.law, context.body.photometry.surface), settings.window_nodes
     projection, offsets = _compute_offsets(context, places)
@@ -142,6 +150,24 @@ def _score_places(
                 errors[i, level, k] = predict_match(picture[inside], settings.snr).score
     for inside, error in zip(windows[0], errors, strict=True):
         yield compute_hessian_eigenvalue(grids[0][inside], context.posting_m), error
+
+
+def _score_brightness(
+    context: StageContext, image: Mosaic, places: FloatArray
+) -> Iterator[tuple[float, Float32Array]]:
+    """Structure eigenvalue, and predicted 1-sigma errors (levels, 1), of places in an image."""
+    settings = context.config.render
+    for lat, lon in places.tolist():
+        projection = context.projection(lat, lon)
+        errors = np.empty((settings.levels, 1), np.float32)
+        grids = []
+        for level, posting in enumerate(context.postings_m[: settings.levels]):
+            grids.append(blur_grid(image.local_grid(projection, posting, settings.window_nodes)))
+            errors[level, 0] = predict_match(grids[-1], settings.snr).score
+        yield (
+            float(compute_brightness_eigenvalue_map(grids[0], settings.window_nodes)[0, 0]),
+            errors,
+        )
 
 
 def _measure_holes(

@@ -118,7 +118,8 @@ def make_shortlists(context: StageContext, cells: Sequence[int]) -> dict[int, Sh
     by_cell: dict[int, Shortlist] = {}
     mosaic = context.mosaic
     # without graticules each cell has a map grid of its own
-    zones = np.unique(zone_of).tolist() if mosaic.has_graticules else []
+    swept = mosaic.has_graticules and context.image is None
+    zones = np.unique(zone_of).tolist() if swept else []
     for number in zones:
         zone = _make_zone(context, number)
         if zone is not None:

@@ -31,7 +31,7 @@ from catalog.pipeline.context import StageContext
 from catalog.progress import Progress
 from catalog.rasters import keep_gdal_settings
 from catalog.store.connection import SealState, check_seal, connect, find_live_log, read_meta
-from catalog.store.manifest import CatalogMeta, ComparisonMeta, PlanesMeta
+from catalog.store.manifest import CatalogMeta, ComparisonMeta, ImageMeta, PlanesMeta
 from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.store.records import round_point, round_vertical
 from catalog.store.relief import PreparedRelief
@@ -49,6 +49,7 @@ class CatalogExtras(NamedTuple):
     relief       of the whole body, if it is known
     errors       of the terrain models that state one: name -> error
     comparison   with a second terrain model
+    image        that templates are cut from
     """
 
     sources: Mapping[str, str]
@@ -56,6 +57,7 @@ class CatalogExtras(NamedTuple):
     relief: PreparedRelief | None
     errors: Mapping[str, TerrainErrorModel] = MappingProxyType({})
     comparison: ComparisonMeta | None = None
+    image: ImageMeta | None = None
 
 
 def record_published(workspace: Workspace, key: str, path: Path) -> None:
@@ -122,6 +124,7 @@ def write(
         terrain_errors=dict(extras.errors),
         comparison=extras.comparison,
         photometry=context.body.photometry,
+        image=extras.image,
         sources=dict(extras.sources),
         config=extras.config_text,
         software=f"optnav {catalog.__version__}",

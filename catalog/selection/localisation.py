@@ -208,6 +208,36 @@ def compute_hessian_eigenvalue(
     )
 
 
+def compute_brightness_eigenvalue_map(
+    brightness: Float32Array, window: int, step: int = 1
+) -> Float32Array:
+    """Smallest eigenvalue of the structure tensor of brightness in every window.
+
+    brightness (rows, cols), NaN for no data;  window, step  as `compute_hessian_eigenvalue_map`
+    Returns what that returns, of brightness relative to its mean.
+    """
+    known = np.isfinite(brightness)
+    mean = float(brightness[known].mean()) if known.any() else 1.0
+    filled = np.where(known, brightness, np.float32(0.0)) / np.float32(max(mean, 1e-9))
+    inside = cv2.erode(known.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.float32)
+    gx, gy = (cv2.Sobel(filled, cv2.CV_32F, *o, ksize=1, scale=0.5) for o in ((1, 0), (0, 1)))
+    sums = [_sum_boxes(inside * grid, window, step) for grid in (gx * gx, gx * gy, gy * gy)]
+    xx, xy, yy = sums
+    smallest = 0.5 * (xx + yy - np.hypot(xx - yy, 2.0 * xy))
+    share = _sum_boxes(known.astype(np.float32), window, step) / window**2
+    response: Float32Array = np.where(share >= 1.0 - MAX_MISSING, smallest, np.nan)
+    return response.astype(np.float32)
+
+
+def _sum_boxes(grid: Float32Array, window: int, step: int) -> FloatArray:
+    """Sums over windows whose first nodes are `step` apart."""
+    total = np.pad(np.cumsum(np.cumsum(grid, axis=0, dtype=np.float64), axis=1), ((1, 0), (1, 0)))
+    down, along = (np.arange(0, side - window + 1, step) for side in grid.shape)
+    low, high = total[down], total[down + window]
+    boxes: FloatArray = high[:, along + window] - high[:, along] - low[:, along + window]
+    return boxes + low[:, along]
+
+
 @kernel
 def _sum_structure_tensor(brightness: Float32Array) -> tuple[float, float, float, float]:
     """Its elements xx, xy and yy, x along columns, y along rows, and the mean brightness."""

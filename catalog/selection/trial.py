@@ -11,19 +11,20 @@ nodes a side: as good, and a third of the work), then tracked to the finest.
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.filters import choose_thinning, downsample_blurred
+from catalog.correlation.filters import choose_thinning, downsample_blurred, measure_edges
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import match_similarity
 from catalog.geometry.kernel import kernel
 from catalog.photometry.laws import LUNAR_HAPKE, SurfaceLaw, find_law
 from catalog.rendering.map_view import render_levels, render_map_quickly
 
+MAX_TONE = 1.6  # exponent of the picture's tone against an image's, or one over it
 FINER = 2  # the picture's ground has this many nodes to one of the finest reference
 PSF_SIGMA_PX = 0.7
 COUNTS = 255.0
@@ -180,12 +181,13 @@ def run_trial(
     search: Search = Search(),
     gate: Gate = Gate(),
     outer: Sequence[tuple[Float32Array, float]] = (),
-    law: SurfaceLaw = LUNAR_HAPKE,
+    law: SurfaceLaw | None = LUNAR_HAPKE,
 ) -> TrialOutcome:
     """Look for a point once.
 
     levels  finest first; the search starts at the last
-    law     that the picture is drawn by
+    law     that the picture is drawn by; None: both grids of the levels are brightness, that of
+            the picture of another tone
     seed    of the noise
     outer   coarser grids (heights, posting_m) that throw shadows in from beyond the last level
     Raises ValueError without a level.
@@ -200,9 +202,14 @@ def run_trial(
     position = np.zeros(2)  # the point's estimated place in the picture, m east and north
     sun, view = circumstances.sun_local, circumstances.view_local
     grids = [*((level.reference, level.posting_m) for level in levels), *outer]
-    templates, around = render_levels(
-        grids, len(levels), sun, radius_m=radius_m, law=find_law("lommel_seeliger")
-    )
+    tone = 1.0 if law is not None else MAX_TONE ** rng.uniform(-1.0, 1.0)
+    around: Sequence[Any] = ()
+    if law is None:
+        templates = [measure_edges(level.reference) for level in levels]
+    else:
+        templates, around = render_levels(
+            grids, len(levels), sun, radius_m=radius_m, law=find_law("lommel_seeliger")
+        )
     for number in range(len(levels) - 1, -1, -1):
         level, posting_m = levels[number], levels[number].posting_m
         coarsest = number == len(levels) - 1
@@ -215,13 +222,24 @@ def run_trial(
         truth_from_picture = truth_from_ground @ ground_from_picture @ picture_from_ground @ _FLIP
         side = compute_side(truth_from_picture, offset, window, level.truth.shape[0])
         truth, finer_m = _cut_centre(level.truth, side), posting_m / level.finer
-        seen = render_map_quickly(
-            truth, finer_m, sun, view_local=view, radius_m=radius_m, law=law, outer=around[number]
-        )
+        if law is None:
+            seen = np.maximum(truth, np.float32(0.0)) ** np.float32(tone)
+        else:
+            seen = render_map_quickly(
+                truth,
+                finer_m,
+                sun,
+                view_local=view,
+                radius_m=radius_m,
+                law=law,
+                outer=around[number],
+            )
         origin, averaging = offset + (side - 1) / 2.0, round(posting_m / levels[0].posting_m)
         picture = simulate_picture(
             seen, truth_from_picture, origin, window, averaging, circumstances.snr, rng, level.finer
         )
+        if law is None:
+            picture = measure_edges(picture)
         step_m = posting_m
         if level.blur_nodes:
             even = search.template_nodes % 2 == 0

@@ -25,7 +25,8 @@ from catalog.photometry.sets import PhotometricSet, load_sets
 from catalog.terrain.error_model import TerrainErrorModel
 
 FORMAT = "optnav catalog"
-FORMAT_VERSION = 5  # this program reads up to it; written where points have verticals of their own
+FORMAT_VERSION = 6  # this program reads up to it; written where points have brightness
+OWN_PLANES_VERSION = 5  # written where points have verticals of their own
 PLAIN_VERSION = 4  # written else
 PROJECTION = "oblique stereographic on the sphere of radius_m, centred on the point, k0 = 1"
 PLANES = (
@@ -123,6 +124,18 @@ class ComparisonMeta:
 
 
 @dataclass(frozen=True)
+class ImageMeta:
+    """Manifest entry of the image whose brightness templates are.
+
+    error_m  1 sigma per axis of its places, common to a region; 0 where none is stated
+    """
+
+    name: str
+    sha256: str
+    error_m: float = 0.0
+
+
+@dataclass(frozen=True)
 class CatalogMeta:
     """Properties common to all points of a catalog.
 
@@ -144,6 +157,7 @@ class CatalogMeta:
     comparison     with a second terrain model; no part of the content digest
     photometry     Hapke's parameters that it was built with; None in older catalogs, which were
                    built with the Moon's; no part of the content digest
+    image          whose brightness templates are; None: they are rendered from heights
     seal           of the file that it was read from (see `catalog.store.connection`); "" for none
     """
 
@@ -168,6 +182,7 @@ class CatalogMeta:
     terrain_errors: Mapping[str, TerrainErrorModel] = field(default_factory=dict)
     comparison: ComparisonMeta | None = None
     photometry: PhotometricSet | None = None
+    image: ImageMeta | None = None
     seal: str = field(default="", compare=False)
 
     def projection(self, point: ControlPoint) -> MapProjection:
@@ -205,6 +220,8 @@ def format_content(meta: CatalogMeta) -> str:
         content["relief"] = asdict(meta.relief)
     if meta.planes is not None:
         content["planes"] = meta.planes.round_values()
+    if meta.image is not None:
+        content["image"] = meta.image.name
     return json.dumps(content, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
 
 
@@ -231,7 +248,10 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
     if meta.planes is not None:
         rows["planes"] = json.dumps(meta.planes.round_values(), sort_keys=True)
         if meta.planes.verticals_deg:
-            rows["format_version"] = str(FORMAT_VERSION)
+            rows["format_version"] = str(OWN_PLANES_VERSION)
+    if meta.image is not None:
+        rows["image"] = json.dumps(asdict(meta.image), sort_keys=True, ensure_ascii=False)
+        rows["format_version"] = str(FORMAT_VERSION)
     if meta.terrain_errors:
         rows["terrain_errors"] = msgspec.json.encode(meta.terrain_errors, order="sorted").decode()
     if meta.photometry is not None:
@@ -297,6 +317,7 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
             ),
             comparison=decode(texts.get("comparison", "null"), type=ComparisonMeta | None),
             photometry=decode(texts.get("photometry", "null"), type=PhotometricSet | None),
+            image=decode(texts.get("image", "null"), type=ImageMeta | None),
             seal=texts.get(SEAL, ""),
             format_version=int(version),
         )

@@ -26,11 +26,12 @@ from catalog.errors import DataError
 from catalog.store.codec import Encoded, decode, encode
 from catalog.store.manifest import CatalogMeta, format_content
 from catalog.store.records import compute_checksum, round_point
-from catalog.store.schema import HEIGHT_LAYER, compute_patch_key
+from catalog.store.schema import HEIGHT_LAYER, IMAGE_LAYER, compute_patch_key
 
 PatchRow = tuple[int, int, int, int, float, int, float, float, int, bytes]  # as PATCH_COLUMNS
 
 POSTING_DECIMALS = 6
+BRIGHTNESS_STEPS = 2048.0  # of a posting: the brightest pixels are about as high as one is wide
 _HEADER = struct.Struct("<4q3d")
 
 
@@ -44,6 +45,11 @@ class PreparedPoint:
     point: ControlPoint
     rows: tuple[PatchRow, ...]
     patches_digest: bytes
+
+    @property
+    def levels(self) -> int:
+        """Number of grids of heights; those of brightness stand beside them."""
+        return sum(row[2] == HEIGHT_LAYER for row in self.rows)
 
 
 class StoredPatch(NamedTuple):
@@ -60,12 +66,21 @@ def prepare_point(
     """Round a point's numbers and compress its patches, finest first, each with its height step."""
     rounded = round_point(point)
     rows, contents = [], []
-    for level, (patch, step) in enumerate(zip(patches, steps_m, strict=True)):
-        encoded, counts = encode(patch.heights_m, step)
+    grids = [
+        (HEIGHT_LAYER, level, patch, patch.heights_m, step)
+        for level, (patch, step) in enumerate(zip(patches, steps_m, strict=True))
+    ]
+    grids += [
+        (IMAGE_LAYER, level, patch, patch.brightness, patches[0].posting_m / BRIGHTNESS_STEPS)
+        for level, patch in enumerate(patches)
+        if patch.brightness is not None
+    ]
+    for layer, level, patch, grid, step in grids:
+        encoded, counts = encode(grid, step)
         posting = round(float(patch.posting_m), POSTING_DECIMALS)
-        header = pack_header(rounded.id, level, posting, encoded)
-        key = compute_patch_key(rounded.id, HEIGHT_LAYER, level)
-        rows.append((key, rounded.id, HEIGHT_LAYER, level, posting, *encoded.columns(header)))
+        header = pack_header(rounded.id, level, posting, encoded, layer)
+        key = compute_patch_key(rounded.id, layer, level)
+        rows.append((key, rounded.id, layer, level, posting, *encoded.columns(header)))
         contents.append((header, counts))
     return PreparedPoint(rounded, tuple(rows), hash_patches(contents))
 
@@ -82,14 +97,16 @@ def check_patch(row: Sequence[object], level: int, meta: CatalogMeta) -> None:
         )
 
 
-def stored_patch_from_row(row: Sequence[object], point_id: int, level: int) -> StoredPatch:
+def stored_patch_from_row(
+    row: Sequence[object], point_id: int, level: int, layer: int = HEIGHT_LAYER
+) -> StoredPatch:
     """A row (columns as PATCH_COLUMNS) as it is. Raises DataError unless its checksum fits."""
     *keys, posting, size, step, offset, stored, data = row
-    wanted = [compute_patch_key(point_id, HEIGHT_LAYER, level), point_id, HEIGHT_LAYER, level]
+    wanted = [compute_patch_key(point_id, layer, level), point_id, layer, level]
     encoded = Encoded.parse_row(size, step, offset, data)
     if keys != wanted or encoded is None or not isinstance(posting, float):
         raise DataError("row of optnav_patches is damaged")
-    header = pack_header(point_id, level, posting, encoded)
+    header = pack_header(point_id, level, posting, encoded, layer)
     if stored != compute_checksum(header, encoded.data):
         raise DataError("row of optnav_patches does not fit its checksum")
     return StoredPatch(posting, encoded, header)
@@ -101,10 +118,12 @@ def patch_from_row(row: Sequence[object], point_id: int, level: int) -> Patch:
     return Patch(patch.posting_m, decode(patch.encoded))
 
 
-def pack_header(point_id: int, level: int, posting_m: float, encoded: Encoded) -> bytes:
+def pack_header(
+    point_id: int, level: int, posting_m: float, encoded: Encoded, layer: int = HEIGHT_LAYER
+) -> bytes:
     """Pack the part of a patch, besides its data, that checksum and digest cover."""
     numbers = encoded.size, posting_m, encoded.step, encoded.offset
-    return _HEADER.pack(point_id, HEIGHT_LAYER, level, *numbers)
+    return _HEADER.pack(point_id, layer, level, *numbers)
 
 
 def hash_patches(patches: Iterable[tuple[bytes, Int16Array]]) -> bytes:

@@ -3,7 +3,7 @@
 import logging
 import math
 import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from catalog.control_point import ComparisonShift, ControlPoint, Patch, Pyramid
 from catalog.errors import DATABASE_ERRORS, DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import wrap_longitude_deg, xyz_from_latlon
+from catalog.store.codec import decode
 from catalog.store.connection import connect, read_meta
 from catalog.store.geopackage import define_srs
 from catalog.store.manifest import CatalogMeta
@@ -31,6 +32,7 @@ from catalog.store.records import (
 )
 from catalog.store.schema import (
     HEIGHT_LAYER,
+    IMAGE_LAYER,
     PATCH_COLUMNS,
     PATCHES,
     POINTS,
@@ -212,11 +214,18 @@ class Catalog:
         return near
 
     def patches(self, point_id: int) -> tuple[Patch, ...]:
-        """The height grids of a point, finest first; empty for a point kept without any.
+        """The grids of a point, finest first; empty for a point kept without any.
 
         Raises DataError when one is missing or damaged: then the point must not be used.
         """
-        return self._read_patches(point_id, patch_from_row)
+        patches = self._read_patches(point_id, patch_from_row)
+        if self.meta.image is None:
+            return patches
+        shown = self._read_patches(point_id, stored_patch_from_row, IMAGE_LAYER)
+        return tuple(
+            replace(patch, brightness=decode(image.encoded))
+            for patch, image in zip(patches, shown, strict=True)
+        )
 
     def stored_patches(self, point_id: int) -> tuple[StoredPatch, ...]:
         """The patches of a point as they are stored, their checksums checked.
@@ -226,17 +235,18 @@ class Catalog:
         return self._read_patches(point_id, stored_patch_from_row)
 
     def _read_patches(
-        self, point_id: int, read: Callable[[Sequence[object], int, int], T]
+        self, point_id: int, read: Callable[..., T], layer: int = HEIGHT_LAYER
     ) -> tuple[T, ...]:
         stored = int(self.records["levels"][self.find_row(point_id)])
-        first = compute_patch_key(point_id, HEIGHT_LAYER, 0)
+        first = compute_patch_key(point_id, layer, 0)
         try:
             rows = self._db.execute(SELECT_PATCHES, (first, first + 15)).fetchall()
             if len(rows) != stored:
                 raise DataError(f"{len(rows)} levels of {stored} are there")
             for level, row in enumerate(rows):
                 check_patch(row, level, self.meta)
-            return tuple(read(row, point_id, level) for level, row in enumerate(rows))
+            which = () if layer == HEIGHT_LAYER else (layer,)
+            return tuple(read(row, point_id, level, *which) for level, row in enumerate(rows))
         except (*DATABASE_ERRORS, DataError) as error:
             raise DataError(
                 f"{self.path}: control point {point_id} is damaged: {error}; run "

@@ -38,7 +38,7 @@ COMPARISON = "optnav_comparison"
 
 RECORDS_A_ROW = 4096
 NO_DATA_COUNT = -32768  # of a patch: no height
-HEIGHT_LAYER = 0  # an albedo layer would be another number in the same table
+HEIGHT_LAYER, IMAGE_LAYER = 0, 1  # of patches: heights, and brightness of an image
 
 # columns of these tables are read from the statements: no part of them holds a comma
 _PATCH_TABLE = f"""

@@ -4,6 +4,7 @@ import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 
 from catalog.arrays import RecordArray
@@ -26,6 +27,7 @@ from catalog.store.relief import hash_relief, list_tiles
 from catalog.store.schema import (
     COMPARISON,
     HEIGHT_LAYER,
+    IMAGE_LAYER,
     PATCHES,
     POINT_LAYER,
     POINTS,
@@ -183,19 +185,20 @@ def _check_contents(
 ) -> None:
     """Decode every patch and compute the content digest."""
     digests = bytearray()
+    layers = (HEIGHT_LAYER,) if meta.image is None else (HEIGHT_LAYER, IMAGE_LAYER)
     for record in records:
         number = int(record["id"])
         contents = []
-        for level in range(record["levels"]):
+        for layer, level in product(layers, range(record["levels"])):
             subject = f"control point {number}, level {level}"
             try:
-                key = compute_patch_key(number, HEIGHT_LAYER, level)
+                key = compute_patch_key(number, layer, level)
                 row = db.execute(SELECT_PATCHES, (key, key)).fetchone()
                 if row is None:
                     verification.add(subject, "is missing")
                     continue
                 check_patch(row, level, meta)
-                patch = stored_patch_from_row(row, number, level)
+                patch = stored_patch_from_row(row, number, level, layer)
                 counts = decode_counts(patch.encoded.data, patch.encoded.size)
                 contents.append((patch.header, counts))
             except (sqlite3.Error, ValueError, DataError) as error:
@@ -209,7 +212,7 @@ def _check_contents(
         verification.add(
             "digest", f"the content gives {verification.computed}; {verification.stated} is stated"
         )
-    _count(db, PATCHES, int(records["levels"].sum()), verification)
+    _count(db, PATCHES, len(layers) * int(records["levels"].sum()), verification)
 
 
 def _read_again(

@@ -110,7 +110,7 @@ def _fill(
         _check(prepared, meta, grid, last_id)
         last_id = point.id
         source = sources.setdefault(point.source, len(sources))
-        record = record_from_point(point, len(prepared.rows), source, layout).tobytes()
+        record = record_from_point(point, prepared.levels, source, layout).tobytes()
         digests += hash_point(record, prepared.patches_digest)
         db.executemany(insert_patch, prepared.rows)
         chunk.append(record)
@@ -149,7 +149,7 @@ def _check(prepared: PreparedPoint, meta: CatalogMeta, grid: CellGrid, last_id: 
         raise ValueError(f"point {point.id} at {point.lat_deg}, {point.lon_deg} is not in its cell")
     if point.usable and not math.isfinite(point.radius_m):
         raise ValueError(f"point {point.id} is usable but its radius is unknown")
-    levels = len(prepared.rows)
+    levels = prepared.levels
     if levels != meta.levels and (levels or point.usable):
         raise ValueError(f"point {point.id} has {levels} patches; wanted {meta.levels}")
 

@@ -19,17 +19,18 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Annotated, NamedTuple
 
+import cv2
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri, gammaln
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.config import Positive, load_toml, resource
 from catalog.correlation.filters import filter_grid
 from catalog.correlation.ncc import correlate_grids
 from catalog.geometry.vectors import squared_distance
-from optnav_cli.control_points.point_match import CHANCE_NODES_PER_SAMPLE
+from optnav_cli.control_points.point_match import CHANCE_NODES_PER_SAMPLE, SeenPart
 from optnav_cli.estimation.resection import Resection
 from optnav_cli.fix import PositionPrior
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
@@ -37,6 +38,8 @@ from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 FILE = "configs/models/acceptance.toml"
 # Room to every side of a proof, nodes: three times as many places as a peak itself takes.
 PROOF_NODES = 12
+# Side of the grid on which parts of the frame are counted: a template spans dozens of its cells.
+CELLS = 128
 
 
 class _Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -203,6 +206,29 @@ def check_position(
         f"the matches put the camera {np.linalg.norm(offset) / 1e3:.1f} km from the prior, whose "
         f"sigma is {sigma / 1e3:.1f} km: the prior, its sigma or the camera file is wrong",
     )
+
+
+def draw_footprints(parts: Sequence[SeenPart], frame_size_px: tuple[int, int]) -> BoolArray:
+    """Draw what each part covers of the frame, (n, CELLS, CELLS).
+
+    frame_size_px  (width, height)
+    """
+    scale = CELLS / np.array(frame_size_px, dtype=np.float64)
+    masks = np.zeros((len(parts), CELLS, CELLS), dtype=np.uint8)
+    for mask, part in zip(masks, parts, strict=True):
+        corners = np.rint((part.corners_px + 0.5) * scale - 0.5)
+        if np.isfinite(corners).all():
+            # far corners of an oblique template are cut where integers end
+            cv2.fillConvexPoly(mask, np.clip(corners, -1e6, 1e6).astype(np.int32), 1)
+    return masks.astype(bool)
+
+
+def compute_evidence_shares(masks: BoolArray) -> FloatArray:
+    """Compute the share (n,) of each part's evidence: ground seen k times counts once."""
+    times = masks.sum(axis=0)
+    each = masks / np.maximum(times, 1)
+    shares: FloatArray = each.sum(axis=(1, 2)) / np.maximum(masks.sum(axis=(1, 2)), 1)
+    return shares
 
 
 class PointLight(NamedTuple):

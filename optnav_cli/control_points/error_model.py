@@ -11,11 +11,10 @@ too small.
 The sizes are fitted numbers, in FILE (`make study-fit`).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
-import cv2
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,10 +22,7 @@ from numpy.typing import ArrayLike
 from catalog.arrays import BoolArray, FloatArray
 from catalog.config import Positive, load_toml, resource
 from catalog.geometry.vectors import unit
-from optnav_cli.control_points.point_match import SeenPart
 
-# Side of the grid on which parts of the frame are counted: a template spans dozens of its cells.
-CELLS = 128
 # Below it shadows fill the picture and the cotangent runs away.
 MIN_SUN = np.radians(8.0)
 
@@ -114,6 +110,14 @@ class TerrainSizes(_Sizes, frozen=True):
     explained: Positive
 
 
+class ImageSizes(_Sizes, frozen=True):
+    """Sizes of errors of templates that are cut from an image."""
+
+    own_nodes: Positive
+    shift_nodes: Positive
+    stretch_nodes: Positive
+
+
 class PointErrorSizes(_Sizes, frozen=True):
     """All fitted numbers of FILE."""
 
@@ -125,35 +129,37 @@ class PointErrorSizes(_Sizes, frozen=True):
     sunward: SunwardSizes
     albedo: AlbedoSizes
     terrain: TerrainSizes
+    image: ImageSizes
+
+    def convert_for_image(self, error_m: float, posting_m: float) -> "PointErrorSizes":
+        """Return the sizes for templates of an image: nothing hangs on relief or the Sun.
+
+        error_m  1 sigma per axis of the image's places;  posting_m  of its finest patches
+        """
+
+        def clear(sizes: Any) -> Any:
+            return type(sizes)(**dict.fromkeys(type(sizes).__struct_fields__, 0.0))
+
+        scale = float(_scale(posting_m))
+        shift_m = float(np.hypot(error_m, self.image.shift_nodes * posting_m)) / scale
+        stretch_m = self.image.stretch_nodes * posting_m / scale
+        change = msgspec.structs.replace
+        return change(
+            self,
+            region_km=1e9,  # common to all of a frame
+            own=change(clear(self.own), level_nodes=self.image.own_nodes),
+            common=change(clear(self.common), shift_m=shift_m, stretch_m=stretch_m),
+            **{
+                name: clear(getattr(self, name))
+                for name in ("curved", "hidden", "sunward", "albedo")
+            },
+        )
 
 
 @cache
 def load_error_sizes() -> PointErrorSizes:
     """Load the sizes that ship with optnav. Raises ConfigError for a wrong file."""
     return load_toml(resource(FILE), PointErrorSizes)
-
-
-def draw_footprints(parts: Sequence[SeenPart], frame_size_px: tuple[int, int]) -> BoolArray:
-    """Draw what each part covers of the frame, (n, CELLS, CELLS).
-
-    frame_size_px  (width, height)
-    """
-    scale = CELLS / np.array(frame_size_px, dtype=np.float64)
-    masks = np.zeros((len(parts), CELLS, CELLS), dtype=np.uint8)
-    for mask, part in zip(masks, parts, strict=True):
-        corners = np.rint((part.corners_px + 0.5) * scale - 0.5)
-        if np.isfinite(corners).all():
-            # far corners of an oblique template are cut where integers end
-            cv2.fillConvexPoly(mask, np.clip(corners, -1e6, 1e6).astype(np.int32), 1)
-    return masks.astype(bool)
-
-
-def compute_evidence_shares(masks: BoolArray) -> FloatArray:
-    """Compute the share (n,) of each part's evidence: ground seen k times counts once."""
-    times = masks.sum(axis=0)
-    each = masks / np.maximum(times, 1)
-    shares: FloatArray = each.sum(axis=(1, 2)) / np.maximum(masks.sum(axis=(1, 2)), 1)
-    return shares
 
 
 def correlate_overlaps(masks: BoolArray) -> FloatArray:

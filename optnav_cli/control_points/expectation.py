@@ -7,6 +7,7 @@ seen edge-on and is not hidden behind the terrain about it.
 from dataclasses import dataclass, fields, replace
 from itertools import product
 
+import msgspec
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IndexArray
@@ -107,6 +108,8 @@ def find_expected(frame: FrameContext, pose: Pose, whole: bool) -> ExpectedPoint
     Of templates that the frame may cut a part is enough; it may be without the centre.
     """
     points, camera, limits = frame.points, frame.camera, frame.settings.view
+    if points.image_error_m is not None:  # only relief fades under a high Sun
+        limits = msgspec.structs.replace(limits, sun_max_deg=90.0)
     near = points.near(pose.position_m, limits.emission_max_deg)
     distances = np.linalg.norm(points.xyz_m[near] - pose.position_m, axis=1)
     samples = np.maximum(distances / camera.coarse_focal_px, 1e-3)

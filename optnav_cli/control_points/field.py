@@ -75,6 +75,7 @@ class PointLayer:
                  without; empty where none is stated
     body         whose air bends lines of sight; None: without air
     photometry   the set that the catalog was built with
+    image_error_m  1 sigma per axis of the image that templates are cut from; None: of relief
     """
 
     name: str
@@ -89,6 +90,7 @@ class PointLayer:
     errors: tuple[TerrainErrorModel | None, ...] = ()
     body: Body | None = None
     photometry: PhotometricSet = load_sets("moon")[0]
+    image_error_m: float | None = None
 
     @property
     def law(self) -> SurfaceLaw:
@@ -154,6 +156,11 @@ class ControlPointField:
 
     def __len__(self) -> int:
         return len(self.xyz_m)
+
+    @property
+    def image_error_m(self) -> float | None:
+        """1 sigma per axis of the images that templates are cut from; None: of relief."""
+        return self.layers[0].image_error_m
 
     def postings_m(self, index: int) -> FloatArray:
         """(levels,) postings of a point's patches, finest first."""

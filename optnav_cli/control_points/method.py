@@ -22,8 +22,12 @@ from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance, unit
 from optnav_cli.control_points import acceptance
-from optnav_cli.control_points.acceptance import PROOF_NODES, drop_disproven
-from optnav_cli.control_points.error_model import compute_evidence_shares, draw_footprints
+from optnav_cli.control_points.acceptance import (
+    PROOF_NODES,
+    compute_evidence_shares,
+    draw_footprints,
+    drop_disproven,
+)
 from optnav_cli.control_points.expectation import (
     ExpectedPoints,
     FrameContext,
@@ -281,6 +285,8 @@ def _measure_lights(frame: FrameContext, last: _Pass) -> list[acceptance.PointLi
     """Measure the light on some of the used points; none where scores leave no doubt."""
     limits = acceptance.load_acceptance_limits().light
     scores = np.array([last.matches[k].score or 0.0 for k in last.used])
+    if frame.points.image_error_m is not None:
+        return []  # an image has the light of its own day
     if np.mean(scores**2) >= 1.0 / limits.agreeing_gain:
         return []  # no other light can explain so many times as much
     step = max(len(scores) / limits.points, 1.0)

@@ -13,6 +13,7 @@ from catalog.correlation.filters import (
     downsample_blurred,
     filter_grid_quickly,
     filter_low_pass,
+    measure_edges,
 )
 from catalog.correlation.ncc import (
     add_remainder_covariance,
@@ -178,8 +179,9 @@ def match_point(
     if blur_nodes:
         template = downsample_blurred(template, blur_nodes, even)
         window = shown = downsample_blurred(window, blur_nodes, even)
-    rendered = template
-    template, match = _match_template(template, window, plan, matcher)
+    measure = measure_edges if reference.has_image else np.asarray
+    rendered, window = measure(template), measure(window)
+    template, match = _match_template(rendered, window, plan, matcher)
     samples, at_nodes = 0.0, match
     if blur_nodes:
         samples = _count_common_nodes(template, window, match) / count_nodes_per_sample(
@@ -216,8 +218,8 @@ def match_point(
             point_match, rendered, at_nodes, shown, grid, picture.count_step
         )
     least = MIN_ALBEDO_POSTING_M if level else MIN_FINEST_ALBEDO_POSTING_M
-    coarse = posting >= least and not (blur_nodes or plan.interim or plan.soft_nodes)
-    if point_match.reason or not coarse or template is not rendered:
+    fine = reference.has_image or posting < least
+    if point_match.reason or fine or _is_rough(plan) or template is not rendered:
         return point_match
 
     def fit_patterns() -> ReliefMatch | None:
@@ -226,6 +228,10 @@ def match_point(
         return make_relief_match(match, template, seen, window, MARGIN_NODES)
 
     return replace(point_match, albedo=AlbedoFit(fit_patterns, make_match))
+
+
+def _is_rough(plan: SearchPlan) -> bool:
+    return bool(plan.blur_nodes or plan.interim or plan.soft_nodes)
 
 
 def _compute_borders(plan: SearchPlan) -> tuple[int, int]:

@@ -1,6 +1,6 @@
 """Expected appearance of a control point: its patches cut to a window and rendered."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -68,6 +68,17 @@ class Reference:
             _fill_from(window, posting, patch.heights_m, patch.posting_m)
         return window
 
+    @cached_property
+    def has_image(self) -> bool:
+        """Whether the patches have the brightness of an image."""
+        return all(patch.brightness is not None for patch in self.patches)
+
+    @cached_property
+    def _image(self) -> "Reference":
+        """The brightness in the place of the heights."""
+        shown = [(p.posting_m, p.brightness) for p in self.patches if p.brightness is not None]
+        return replace(self, patches=tuple(Patch(*each) for each in shown))
+
     def surface(self, level: int, heights: Float32Array) -> FloatArray:
         """Return body-fixed points (size, size, 3), m, of a window's heights (size, size).
 
@@ -90,6 +101,8 @@ class Reference:
     ) -> Float32Array:
         """Render a window's heights (size, size) by Hapke's law, 0 in cast shadow.
 
+        Of a point with an image its brightness is returned, under whatever Sun it was taken.
+
         Zhukov (2025) takes Lommel-Seeliger, whose correlation with Hapke is 0.98 at oblique views
         (study photometry). Even lunar-Lambert, at 0.998, moves what is found by some 10 m at 948 m
         from node to node and a squared tangent of the emission of 1.
@@ -97,6 +110,8 @@ class Reference:
         sun_body           (3,) unit vector to the Sun, body frame
         camera_position_m  (3,) body frame
         """
+        if self.has_image:
+            return self._image.heights(level, heights.shape[0])
         body_from_local = self.projection.body_from_local
         sun_local = sun_body @ body_from_local
         return render_map_near(

@@ -11,6 +11,7 @@ from catalog.correlation.peak import RIVAL_DISTANCE
 from catalog.correlation.relief_albedo import ReliefAlbedo, estimate_strengths
 from catalog.errors import NoSolutionError
 from optnav_cli.control_points import error_model
+from optnav_cli.control_points.acceptance import draw_footprints
 from optnav_cli.control_points.expectation import (
     ExpectedPoints,
     FrameContext,
@@ -289,9 +290,10 @@ def _predict_errors_px2(
         return {}
     places = frame.points.xyz_m[search.view.index[kept]]
     points = _collect_matched_points(frame, search.view, matches, kept, places, search.pose)
-    covariances = error_model.compute_point_covariances_px2(points)
+    sizes = load_sizes(frame)
+    covariances = error_model.compute_point_covariances_px2(points, sizes)
     covariances += np.array([matches[k].covariance_px2 for k in kept])
-    common = error_model.compute_common_errors_px(points, frame.sun_body)
+    common = error_model.compute_common_errors_px(points, frame.sun_body, sizes)
     squares = np.trace(covariances, axis1=1, axis2=2) / len(list_accepted(matches))
     squares += (common**2).sum(axis=(1, 2))
     return dict(zip(kept, squares.tolist(), strict=True))
@@ -384,9 +386,17 @@ def make_matched_frame(
     if parts:
         size_px = frame.camera.width_px, frame.camera.height_px
         correlation[np.ix_(list(parts), list(parts))] = error_model.correlate_overlaps(
-            error_model.draw_footprints(list(parts.values()), size_px)
+            draw_footprints(list(parts.values()), size_px)
         )
     return MatchedFrame(sightings, errors, correlation, frame.sun_body)
+
+
+def load_sizes(frame: FrameContext) -> error_model.PointErrorSizes:
+    """Load the sizes of errors: of rendered templates, or of those that are cut from an image."""
+    sizes, points = error_model.load_error_sizes(), frame.points
+    if points.image_error_m is None:
+        return sizes
+    return sizes.convert_for_image(points.image_error_m, float(points.postings_m(0)[0]))
 
 
 def solve(
@@ -401,7 +411,7 @@ def solve(
         pose if free else Pose(pose.position_m, observation.camera_from_body),
         observation.attitude_sigma_rad,
         frame.settings.solve.gate_probability,
-        error_model.load_error_sizes(),
+        load_sizes(frame),
     )
 
 

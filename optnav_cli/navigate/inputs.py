@@ -41,9 +41,16 @@ def open_catalogs(paths: Sequence[Path]) -> Iterator[list[Catalog]]:
 def open_field(catalogs: Sequence[Catalog], body: Body) -> ControlPointField | None:
     """Open the usable control points of catalogs, the first given before others; None without.
 
-    Raises DataError for a catalog of another body or without usable points.
+    Raises DataError for a catalog of another body or without usable points, and for one of an image
+    beside one of relief: their errors follow other laws.
     """
     layers = [_make_layer(catalog, body) for catalog in catalogs]
+    shown = [layer.name for layer in layers if layer.image_error_m is not None]
+    if 0 < len(shown) < len(layers):
+        raise DataError(
+            f"{shown[0]}: is a catalog of an image, others given are of relief; name catalogs of "
+            "one kind"
+        )
     return ControlPointField(layers) if layers else None
 
 
@@ -95,6 +102,7 @@ def _make_layer(catalog: Catalog, body: Body, *, all_points: bool = False) -> Po
         tuple(by_source[source] for source in stated),
         body,
         meta.ground,
+        None if meta.image is None else meta.image.error_m,
     )
 
 

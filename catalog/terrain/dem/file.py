@@ -21,12 +21,18 @@ from catalog.bodies.body import Body
 from catalog.config import BUNDLED, resource
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.kernel import kernel
-from catalog.terrain.dem.georeference import Georeference, make_georeference, orient_eastward
+from catalog.terrain.dem.georeference import (
+    Georeference,
+    make_geodetic_georeference,
+    make_georeference,
+    orient_eastward,
+)
 from catalog.terrain.dem.label import read_map_label
 
 # A CRS made for another body is off by tens of percent; spheres of one body differ by less.
 RADIUS_TOLERANCE = 0.01
 MIN_POSTING_M = 1e-3
+MAX_SHAPE_ERROR = 1e-5  # of an ellipsoid's axes: ellipsoids of the Earth differ by less
 # Of a map, rad: two turns of longitude, or a polar map to the other pole, are beyond any model.
 MAX_EXTENT = 4.0 * np.pi
 MAX_CRS = 20_000  # letters
@@ -122,11 +128,14 @@ def read_georeference(
     body: Body,
     dataset: Any,
     remedy: str,
+    *,
+    geodetic: bool = False,
 ) -> Georeference:
     """The raster's georeference. Raises DataError for no CRS, another body or no geotransform.
 
     longitude  "west" where those that the file states count westward; None: as its label says
     remedy     for a file without a CRS, or with one that cannot be used
+    geodetic   whether maps on the body's own flattened ellipsoid are read: those of brightness
     """
     longitude = longitude or read_map_label(path, dataset).longitude
     try:
@@ -175,6 +184,9 @@ def read_georeference(
             f"{body.name} has {body.radius_m / 1e3:.1f} km; check [body] name, or {remedy}"
         )
     if abs(semi_major - semi_minor) > 1e-6 * semi_major:
+        is_body = abs(semi_minor / semi_major - body.radii_m[2] / body.radii_m[0]) < MAX_SHAPE_ERROR
+        if geodetic and is_body:
+            return make_geodetic_georeference(placed)
         raise DataError(
             f"{path}: its coordinate system is on a flattened ellipsoid, of {semi_major:.10g} and "
             f"{semi_minor:.10g} m, whose latitudes are geodetic; heights of {body.name} count from "

@@ -44,6 +44,9 @@ class Georeference:
     cylindrical (col0, cols per rad, row0, rows per rad, period in columns, 0 if rotated);
     polar (pole sign, col of the pole, row of the pole, 2 R k0 / posting, lon0).
     longitude_sign is -1 for a map whose longitudes count westward.
+    axes_squared is (c/a)^2 of a map whose latitudes are geodetic: tan of the planetocentric one is
+    so many times theirs, on the ellipsoid. At a height h latitudes are off by the flattening times
+    h sin 2 lat: 3 m for each km on the Earth.
     """
 
     wkt: str
@@ -55,6 +58,7 @@ class Georeference:
     row_angle: float  # rad of ground between neighbouring rows
     column_angle: float  # the same between columns, at the equator for a cylindrical raster
     turn: float = 0.0  # a full turn of longitude in x; 0 where x does not count longitude
+    axes_squared: float = 1.0
 
     @property
     def period(self) -> float:
@@ -113,6 +117,8 @@ class Georeference:
 
     def _project_by_proj(self, lat: FloatArray, lon: FloatArray) -> tuple[FloatArray, FloatArray]:
         forward, _ = self._transformers
+        if self.axes_squared != 1.0:
+            lat = np.arctan2(np.sin(lat), self.axes_squared * np.cos(lat))
         x, y = forward.transform(np.degrees(lon) * self.longitude_sign, np.degrees(lat))
         # PROJ gives infinities for points that the projection cannot show
         shown = np.isfinite(x) & np.isfinite(y)
@@ -131,12 +137,15 @@ class Georeference:
         a, b, c, d, e, f = self.affine
         col, row = np.asarray(col, dtype=np.float64) + 0.5, np.asarray(row, dtype=np.float64) + 0.5
         lon_deg, lat_deg = backward.transform(a * col + b * row + c, d * col + e * row + f)
-        return np.radians(lat_deg), np.radians(lon_deg) * self.longitude_sign
+        lat = np.radians(lat_deg)
+        if self.axes_squared != 1.0:
+            lat = np.arctan2(self.axes_squared * np.sin(lat), np.cos(lat))
+        return lat, np.radians(lon_deg) * self.longitude_sign
 
     def columns_per_posting(self, row_scale: float, lat: FloatArray) -> FloatArray:
         """Columns that a ground length of `row_scale` rows spans at latitudes (rad)."""
         ratio = row_scale * self.row_angle / self.column_angle
-        if self.kind != CYLINDRICAL:
+        if self.kind != CYLINDRICAL and not self.turn:
             return np.full(lat.shape, ratio)
         return np.asarray(ratio / np.maximum(np.cos(lat), 1e-9))
 
@@ -198,6 +207,12 @@ def make_georeference(
 def make_proj_georeference(closed: Georeference) -> Georeference:
     """Return the georeference with every point sent through PROJ, which checks closed forms."""
     return replace(closed, kind=OTHER, parameters=())
+
+
+def make_geodetic_georeference(closed: Georeference) -> Georeference:
+    """Return the georeference of a map on a flattened ellipsoid, through PROJ."""
+    semi_major, semi_minor = closed.ellipsoid_m
+    return replace(make_proj_georeference(closed), axes_squared=(semi_minor / semi_major) ** 2)
 
 
 def _measure_turn_in_x(crs: pyproj.CRS) -> float:

@@ -353,7 +353,7 @@ class DemSource:
 
     def reopen(self) -> "DemSource":
         """Return a copy of the source with its own file handle."""
-        return DemSource(**{**self.__getstate__(), "_dataset": None})
+        return type(self)(**{**self.__getstate__(), "_dataset": None})
 
     def close(self) -> None:
         """Let go of the file; it opens again when read."""

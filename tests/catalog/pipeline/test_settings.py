@@ -35,7 +35,7 @@ def test_a_dem_section_takes_all_its_keys(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('[body]\nname = "moon"\n', ["no [[dem]] and no [[mesh]]"]),
+        ('[body]\nname = "moon"\n', ["no [[dem]], [[mesh]] or [[image]]"]),
         (LEAST + '[[mesh]]\npath = "a.obj"\nunits = "km"\n', ["[[mesh]] beside terrain models"]),
         (BODY + MESH + MESH, ["2 sections [[mesh]]"]),
         (BODY + '[[mesh]]\npath = "a.obj"\n', ["[[mesh]] number 1 needs the setting 'units'"]),

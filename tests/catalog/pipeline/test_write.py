@@ -31,7 +31,7 @@ class PlaneWaveContext:
     """A body whose heights are a plane wave; remembers where patches were asked for."""
 
     def __init__(self) -> None:
-        self.body = SimpleNamespace(name="moon", radius_m=1737400.0)
+        self.body = SimpleNamespace(name="moon", radius_m=1737400.0, photometry=None)
         self.grid = CellGrid(5.0)
         self.levels, self.size, self.posting_m = 2, 16, 200.0
         self.postings_m = (200.0, 400.0)

@@ -182,8 +182,8 @@ def test_an_edited_manifest_is_told(catalog_copy: Path) -> None:
 
 def test_a_newer_format_is_told(catalog_copy: Path) -> None:
     """Whatever its checksum covers: a newer format may sum its manifest up in another way."""
-    change(catalog_copy, "UPDATE optnav_meta SET value = '6' WHERE key = 'format_version'")
-    with pytest.raises(DataError, match=r"format 6.*install a newer optnav"):
+    change(catalog_copy, "UPDATE optnav_meta SET value = '7' WHERE key = 'format_version'")
+    with pytest.raises(DataError, match=r"format 7.*install a newer optnav"):
         Catalog.open(catalog_copy)
 
 

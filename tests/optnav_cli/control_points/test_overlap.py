@@ -3,12 +3,8 @@
 import numpy as np
 import pytest
 
-from optnav_cli.control_points.error_model import (
-    compute_evidence_shares,
-    correlate_ground,
-    correlate_overlaps,
-    draw_footprints,
-)
+from optnav_cli.control_points.acceptance import compute_evidence_shares, draw_footprints
+from optnav_cli.control_points.error_model import correlate_ground, correlate_overlaps
 from optnav_cli.control_points.point_match import SeenPart
 
 SIZE = (1000, 1000)
