@@ -56,6 +56,12 @@ HEADLINES: dict[str, dict[str, str]] = {
         "67P: {} of {}, {} px": "real 0 1 solved frames residual_rms_px",
         "Eros: {} of {}": "real 0 2 solved frames",
     },
+    "kmss": {
+        "{} of points found, {} of frames solved (≥ {}), N {}, B {}, R {} m, NEES {}": (
+            "kmss 0 1 found solved solved_least n_m b_m r_m nees"
+        ),
+        "thesis, real pictures: N {}, B {}, R {} m": "kmss 0 0 n_m b_m r_m",
+    },
     "apollo": {
         "{} of {} points, residual {} px = {} m": (
             "apollo 0 0 used predicted residual_px residual_m"

@@ -301,13 +301,14 @@ def run(progress: Progress, output: Path, routes: int, frames: int, fit: bool) -
 
 
 ROUTES_TABLE = columns(
-    "what = ; routes = routes; frames = frames; points = points in view; found = share found .2f; "
+    "what = case; routes = routes; frames = frames; points = points in view; "
+    "found = share found .2f; "
     "solved = share of frames solved .2f; solved_least = of these wanted .2f; "
     "n_m = sigma N [m] .0f; b_m = sigma B [m] .0f; r_m = sigma R [m] .0f; nees = NEES .2f; "
     "beyond = beyond 4.5 sigma"
 )
 MOUNTING_TABLE = columns(
-    "what = ; x_arcsec = x [arcsec] .1f; y_arcsec = y [arcsec] .1f; z_arcsec = z [arcsec] .1f; "
+    "what = case; x_arcsec = x [arcsec] .1f; y_arcsec = y [arcsec] .1f; z_arcsec = z [arcsec] .1f; "
     "x_sigma = sigma x [arcsec] .1f; y_sigma = sigma y [arcsec] .1f; z_sigma = sigma z [arcsec] .1f"
 )
 

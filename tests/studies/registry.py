@@ -413,6 +413,22 @@ _OTHERS = (
         ),
     ),
     Study(
+        "kmss",
+        "Routes over a coast under clouds, by the points of an image.",
+        """Draw coasts, build catalogs of their mosaics, fly routes of the KMSS and navigate.
+
+        Pictures show another season, tone and haze than the mosaic, under clouds. Prints the shares
+        of points found and of frames solved, the three sigmas beside those of the thesis, and the
+        error of a mounting that was calibrated over each ground. Takes twenty minutes.""",
+        "--routes 2 --frames 1",
+        (
+            output("optnav-kmss", "Folder for mosaics, catalogs, pictures and runs."),
+            option("--routes", click.IntRange(2, 1000), 28, "Over both grounds together."),
+            option("--frames", click.IntRange(1, 4), 3, "Of each route."),
+            option("--fit", bool, False, "Other grounds: to set numbers with.", is_flag=True),
+        ),
+    ),
+    Study(
         "stars",
         "Attitudes from stars at random pointings.",
         """Identify random pointings of three cameras among false spots, and random spots alone.
