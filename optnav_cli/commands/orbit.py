@@ -7,7 +7,17 @@ import click
 from optnav_cli.console import ConsoleProgress, pass_progress, report_compilation, report_lines
 from optnav_cli.options import PATH, LazyGroup, Number, output_option, path_argument
 
-SOLVED = ("clock", "focal", "map_offset", "acceleration", "srp", "vertical")
+SOLVED = (
+    "clock",
+    "focal",
+    "map_offset",
+    "acceleration",
+    "srp",
+    "vertical",
+    "range_bias",
+    "range_rate_bias",
+    "station_clock",
+)
 CRAFT = click.option(
     "--craft",
     type=click.IntRange(-(10**9), -2),  # -1 is Geotail
@@ -36,7 +46,7 @@ def _parse_solve(context: click.Context, option: click.Parameter, value: str) ->
 
 
 @command.command("fit", short_help="Fit an orbit through the fixes of runs.")
-@click.argument("runs", nargs=-1, required=True, type=PATH)
+@click.argument("runs", nargs=-1, type=PATH)
 @click.option(
     "--config", type=PATH, help="Settings; `optnav config template orbit` prints the defaults."
 )
@@ -47,10 +57,23 @@ def _parse_solve(context: click.Context, option: click.Parameter, value: str) ->
     metavar="WHAT,...",
     help="What to solve for besides the orbit: clock of a camera or run against the first one, "
     "focal length, origin of the map (map_offset), a constant acceleration, sunlight (srp); of "
-    "zenith distances the vertical.",
+    "zenith distances the vertical; of signals range_bias, range_rate_bias, station_clock.",
 )
+@click.option(
+    "--measurements",
+    type=PATH,
+    help="CSV of ranges, Doppler, angles and altimeter heights, fitted together with RUNS.",
+)
+@click.option("--stations", type=PATH, help="TOML with the stations of its signals.")
 @output_option("Folder for the orbit; an earlier one in it is replaced.")
-def fit(runs: tuple[Path, ...], config: Path | None, solve: tuple[str, ...], output: Path) -> None:
+def fit(
+    runs: tuple[Path, ...],
+    config: Path | None,
+    solve: tuple[str, ...],
+    measurements: Path | None,
+    stations: Path | None,
+    output: Path,
+) -> None:
     """Fit an orbit through the solved frames of RUNS, which `optnav navigate` made.
 
     Forces, noise, parameters with their priors, and prior orbits stand in the settings. OUTPUT gets
@@ -58,22 +81,29 @@ def fit(runs: tuple[Path, ...], config: Path | None, solve: tuple[str, ...], out
     manifest.json. Ends with exit code 4, and the test that failed, where the fit does not converge
     or the residuals refute it.
 
-    A zenith.csv among RUNS, or a folder that has one and no solution.csv, is fitted by its zenith
-    distances of stars; OUTPUT then has zenith_residuals.csv in place of the tables of fixes.
+    A zenith.csv among RUNS, or a folder that has one and no solution.csv, gives zenith distances of
+    stars, --measurements other kinds. All are fitted together, whichever there are; OUTPUT gets
+    zenith_residuals.csv and measurement_residuals.csv. Without three fixes or zenith distances of
+    two stars the settings state a [[prior]].
 
     \b
     Example:
       optnav orbit fit run -o orbit
       optnav orbit fit run/zenith.csv --solve srp -o orbit
       optnav orbit fit run-1 run-2 --solve clock,focal -o orbit
+      optnav orbit fit run --measurements measurements.csv --stations stations.toml -o orbit
       optnav orbit fit run --config orbit.toml -o orbit
     """
-    from optnav_cli.orbit.fit.job import fit_runs
+    from optnav_cli.orbit.fit.job import TrackingFiles, fit_runs
     from optnav_cli.orbit.fit.settings import OrbitFitSettings, load_orbit_settings
 
     settings = load_orbit_settings(config) if config else OrbitFitSettings()
     report_compilation()
-    report_lines(fit_runs(runs, output, settings, solve, config.parent if config else Path()))
+    if not runs and measurements is None:
+        raise click.UsageError("name RUNS, --measurements, or both")
+    beside = config.parent if config else Path()
+    tracking = TrackingFiles(measurements, stations) if measurements else None
+    report_lines(fit_runs(runs, output, settings, solve, beside, tracking))
     click.echo(output)
 
 

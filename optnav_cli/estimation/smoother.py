@@ -161,8 +161,14 @@ def _joined(covariance: FloatArray, information: FloatArray) -> FloatArray:
     sigmas = np.sqrt(np.maximum(np.diagonal(covariance), np.finfo(np.float64).tiny))
     values, axes = np.linalg.eigh(covariance / sigmas / sigmas[:, None])
     root = sigmas[:, None] * axes * np.sqrt(np.maximum(values, 0.0))
-    inner = np.linalg.cholesky(np.eye(len(root)) + root.T @ information @ root)
-    joined = solve_triangular(inner, root.T, lower=True)
+    gain = root.T @ information @ root
+    try:
+        inner = np.linalg.cholesky(np.eye(len(root)) + gain)
+        joined = solve_triangular(inner, root.T, lower=True)
+    except np.linalg.LinAlgError:
+        # digits lost among gains of 1e16 and more make small ones negative
+        gains, axes = np.linalg.eigh(0.5 * (gain + gain.T))
+        joined = axes.T @ root.T / np.sqrt(1.0 + np.maximum(gains, 0.0))[:, None]
     combined: FloatArray = joined.T @ joined
     return combined
 

@@ -106,6 +106,38 @@ ZENITH_RESIDUALS = CsvTable(
     )
 )
 
+MEASUREMENTS = CsvTable(
+    (
+        UTC,
+        text("kind", "two_way_range_m and others; its name has the unit"),
+        _filled("value", "measured, in that unit", "", "z.9f"),
+        _filled("sigma", "1 sigma", "", ".6g"),
+        text("station", "receiver of a signal", empty=True),
+        text("transmitter", "sender, if another", empty=True),
+        number("count_s", "length of the count", "s", "z.6f"),
+        number("lat_deg", "point that an angle is of, if not the centre", "deg", "z.8f"),
+        number("lon_deg", "its east longitude", "deg", "z.8f"),
+        number("height_m", "its height over the ellipsoid", "m", "z.3f"),
+    ),
+    by_hand=True,
+    together=(("lat_deg", "lon_deg", "height_m"),),
+)
+
+MEASUREMENT_RESIDUALS = CsvTable(
+    (
+        UTC,
+        text("kind", "as in measurements.csv"),
+        text("station", "receiver", empty=True),
+        count("line", "line of measurements.csv", empty=False),
+        _filled("value", "measured, in the unit of the kind", "", "z.9f"),
+        _filled("residual", "measured less that of the orbit", "", "z.9f"),
+        _filled("sigma", "1 sigma", "", ".6g"),
+        _filled("chi_square", "normalised residual squared; 1 is expected", "", "z.4f"),
+        CsvColumn("used", "whether the solution uses it", "flag"),
+        REASON,
+    )
+)
+
 DISTURBANCES = CsvTable(
     (
         text("from_utc", "start of the interval"),

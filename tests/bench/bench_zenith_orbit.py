@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from optnav_cli.orbit.fit.zenith_fit import fit_zenith
+from optnav_cli.orbit.fit.zenith_job import fit_zenith
 from tests.bench.timing import in_turn, result, sized, within
 from tests.studies.zenith import SUNLIGHT
 from tests.studies.zenith_flights import (

@@ -10,7 +10,7 @@ from catalog.arrays import FloatArray
 from catalog.progress import Progress
 from optnav_cli.orbit.fit.motion import ArcMotion
 from optnav_cli.orbit.fit.settings import ParameterSettings
-from optnav_cli.orbit.fit.zenith_fit import fit_zenith
+from optnav_cli.orbit.fit.zenith_job import fit_zenith
 from optnav_cli.report.sheet import LegendEntry, Panel, draw_sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from tests.studies.tables import Cell, StudyReport, StudyTable, columns

@@ -21,7 +21,7 @@ from optnav_cli.orbit.fit.motion import ArcMotion, rnb_of
 from optnav_cli.orbit.fit.problem import Trajectory
 from optnav_cli.orbit.fit.settings import NoiseSettings, ParameterSettings
 from optnav_cli.orbit.fit.zenith import ZenithSights, zenith_distances
-from optnav_cli.orbit.fit.zenith_fit import settled, zenith_problem
+from optnav_cli.orbit.fit.zenith_job import settled, zenith_problem
 from tests.studies.orbit_flights import ephemeris_of, fly
 
 START_UTC = "2017-07-25T09:10:45Z"

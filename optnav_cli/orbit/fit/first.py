@@ -29,6 +29,7 @@ SHAPE_ERROR = 0.1
 MAX_FOUND = 4
 MIN_SIGHTS = 6
 NODE_RAD = 0.19  # of the motion between nodes: noise is added up in one piece
+QUIET_NODE_RAD = 1.0  # without noise: near enough for steps of Gauss and Newton
 MAX_NODES = 20_000
 
 
@@ -66,8 +67,10 @@ def with_nodes(problem: OrbitProblem, state: FloatArray, step_s: float = math.in
     first, last = float(min(stamps)), float(max(stamps))
     # at the pericentre the motion is quickest: by a third there for an eccentricity of 0.2
     step = min(NODE_RAD * problem.motion.radian_s(state[:3]) / 1.5, step_s)
-    for part in problem.sets:
-        step = min(step, part.node_step_s)
+    if problem.motion.is_noisy:
+        step = min([step, *(part.node_step_s for part in problem.sets)])
+    elif problem.tracking:
+        step = min(QUIET_NODE_RAD * problem.motion.radian_s(state[:3]), step_s)
     count = max(math.ceil((last - first) / step), 1)
     if count > MAX_NODES:
         raise NoSolutionError(

@@ -31,13 +31,11 @@ from optnav_cli.orbit.fit.settings import NoiseModel
 from optnav_cli.orbit.fit.solver import (
     DOUBTED,
     OrbitSolver,
+    are_whole_seconds,
+    lie_within_half_a_second,
     median_ratio,
     robust_weights,
     start_fit,
-)
-from optnav_cli.orbit.fit.time_errors import (
-    are_whole_seconds,
-    lie_within_half_a_second,
     with_time_errors,
     with_whole_seconds,
 )

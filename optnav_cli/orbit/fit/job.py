@@ -14,36 +14,58 @@ import numpy as np
 from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import Ephemeris, load_ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.errors import ConfigError, DataError, NothingToDoError, UsageError
-from catalog.files import MANIFEST
+from catalog.errors import DataError, NothingToDoError
+from catalog.files import MANIFEST, hash_file
 from catalog.terrain.dem.file import resolve_path
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.left_out import warn_of_unknown_gravity
 from optnav_cli.fix import Method, Solution
-from optnav_cli.frames.run_settings import FileAttitude, write_run_settings
+from optnav_cli.frames.orbit_tables import MEASUREMENT_RESIDUALS
+from optnav_cli.frames.run_settings import (
+    RUN_TOML,
+    FileAttitude,
+    RunSettings,
+    write_run_settings,
+)
 from optnav_cli.orbit.fit.fit import OrbitFit, densify, fit_orbit
 from optnav_cli.orbit.fit.folder import SMOOTHED
 from optnav_cli.orbit.fit.lens import (
     sight_of,
     with_lens_errors,
+    with_solved,
     without_lens_error,
     write_calibrated,
 )
+from optnav_cli.orbit.fit.measurements import (
+    MEASUREMENT_RESIDUALS_CSV,
+    measurement_lines,
+    measurement_rows,
+    orbit_priors,
+    read_measurements,
+    with_considered_signals,
+)
 from optnav_cli.orbit.fit.motion import ArcMotion
 from optnav_cli.orbit.fit.output import record, smoothed_solutions, summary, write_orbit_folder
-from optnav_cli.orbit.fit.priors import orbit_priors
 from optnav_cli.orbit.fit.problem import OrbitFix, OrbitPrior, OrbitProblem
 from optnav_cli.orbit.fit.settings import (
     KIND,
     OF_SIGHTS,
+    OF_SIGNALS,
     PARAMETERS,
+    Name,
     OrbitFitSettings,
     ParameterSettings,
 )
 from optnav_cli.orbit.fit.zenith import ZENITH_CSV
-from optnav_cli.orbit.fit.zenith_job import fit_zenith_files, is_zenith
-from optnav_cli.output.manifest import hash_files, output_folder, read_manifest
+from optnav_cli.orbit.fit.zenith_job import (
+    fit_zenith_files,
+    is_zenith,
+    read_zenith_inputs,
+    source_settings,
+    write_zenith_residuals,
+)
+from optnav_cli.output.manifest import OutputFolder, hash_files, output_folder, read_manifest
 from optnav_cli.output.run_folder import RECORDING, SOLUTION, RunFolder, read_run
 from optnav_cli.output.tables import write_solutions
 
@@ -52,6 +74,19 @@ log = logging.getLogger(__name__)
 MAX_FIXES = 20_000
 DEEPEST = 0.9  # of the least radius: no fix is deeper, whatever its error
 MIN_SIGMA_M = 1e-4  # what the columns of positions resolve
+
+
+@dataclass(frozen=True)
+class TrackingFiles:
+    """A measurements.csv, and the stations of its signals."""
+
+    measurements: Path
+    stations: Path | None = None
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files that there are."""
+        return [path for path in (self.measurements, self.stations) if path is not None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,15 +105,21 @@ def fit_runs(
     settings: OrbitFitSettings,
     solve: Sequence[str] = (),
     beside: Path = Path(),
+    tracking: TrackingFiles | None = None,
 ) -> list[str]:
     """Fit an orbit through the solved frames of runs and write its folder; lines for people.
 
+    runs    their folders, and files or folders of zenith distances
+    tracking  further measurements
     solve   names of parameters in short, besides those of the settings
     beside  the folder that files named in the settings are sought from
     Raises DataError for runs that cannot be used, NothingToDoError without fixes, NoSolutionError
     where they fit no orbit.
     """
     with output_folder(output, KIND, "orbit fit", runs, "orbit") as out:
+        if tracking is not None or len({is_zenith(path) for path in runs}) > 1:
+            settings = _with_whole_paths(settings, beside)
+            return _fit_together(runs, out, settings, solve, beside, tracking)
         if any(map(is_zenith, runs)):
             settings = _with_whole_paths(settings, beside)
             return fit_zenith_files(runs, out, settings, solve, beside)
@@ -102,6 +143,85 @@ def fit_runs(
         out.inputs = _inputs(runs, ephemeris)
         out.results = {"fixes": len(fit.residuals), "used": fit.used}
     return [*summary(fit), *lenses, *_other_sights(runs)]
+
+
+def _fit_together(
+    paths: Sequence[Path],
+    out: OutputFolder,
+    settings: OrbitFitSettings,
+    solve: Sequence[str],
+    beside: Path,
+    tracking: TrackingFiles | None,
+) -> list[str]:
+    """Fit one orbit through fixes, zenith distances and the measurements of a file."""
+    runs = [path for path in paths if not is_zenith(path)]
+    read = [read_run(path) for path in runs]
+    names = {*solve, *(parameter.name for parameter in settings.parameter)}
+    run_fixes = read_fixes(read, lens="focal" in names) if read else None
+    sights = None
+    if len(runs) < len(paths):
+        sights = read_zenith_inputs([path for path in paths if is_zenith(path)])
+    sources: list[tuple[RunSettings, Body]] = [(run.settings, run.attitude.body) for run in read]
+    sources += [(sights.settings, sights.body)] if sights else []
+    if tracking is not None and (not sources or (tracking.measurements.parent / RUN_TOML).exists()):
+        sources.append(source_settings(tracking.measurements))
+    run_settings, body = sources[0]
+    if any(other != body for _, other in sources):
+        known = ", ".join(sorted({other.name for _, other in sources}))
+        raise DataError(f"the measurements are about {known}; fit each body by itself")
+    kernels = [str(resolve_path(name, beside).resolve()) for name in settings.spice.kernels]
+    kernels = _kernels(read, settings, beside) if read else kernels
+    ephemeris = load_ephemeris(body, [Path(name) for name in kernels])
+    warn_of_unknown_gravity(body, settings.forces)
+    source = None
+    if tracking is not None:
+        source = read_measurements(tracking.measurements, tracking.stations, ephemeris)
+    times = [*(source.ends if source else ()), *(sights.sights.tdb_s if sights else ())]
+    fixes = _with_times(run_fixes, settings.fixes.time_sigma_s).fixes if run_fixes else []
+    times += [fix.tdb_s for fix in fixes]
+    priors = orbit_priors(settings.prior, ephemeris, beside, (min(times), max(times)))
+    settings = _with_named(settings, [*PARAMETERS, *OF_SIGHTS, *OF_SIGNALS], solve)
+    sets = source.sets if source else []
+    settings = with_considered_signals(settings, sets, ephemeris)
+    motion = ArcMotion(Forces(ephemeris, settings.forces, beside), settings.noise)
+    problem = OrbitProblem(
+        motion,
+        fixes,
+        priors,
+        list(settings.parameter),
+        body.radius_m,
+        sights=sights.sights if sights else None,
+        tracking=sets,
+    )
+    fit = fit_orbit(problem, settings.noise.model, settings.gate_probability)
+    write_run_settings(run_settings, out.path)
+    if run_fixes is not None:
+        _write(out.path, fit, settings, kernels, run_fixes, read)
+    else:
+        write_orbit_folder(out.path, fit, densify(fit, settings.step_s), settings, kernels)
+    lines = summary(fit)
+    if sights is not None:
+        write_zenith_residuals(out.path, sights.sights, fit)
+    if source is not None:
+        residuals = measurement_rows(source, fit)
+        MEASUREMENT_RESIDUALS.write(out.path / MEASUREMENT_RESIDUALS_CSV, residuals)
+        lines += measurement_lines(source, fit)
+    files = [*(sights.paths if sights else ()), *(tracking.paths if tracking else ())]
+    out.options = {"config": msgspec.to_builtins(settings), "solve": list(solve)}
+    out.inputs = _inputs(runs, ephemeris) | {
+        "files": [{"path": str(path), "sha256": hash_file(path)} for path in files]
+    }
+    out.results = {"measurements": fit.count, "used": fit.used}
+    return lines
+
+
+def _with_named(
+    settings: OrbitFitSettings, known: Sequence[Name], solve: Sequence[str]
+) -> OrbitFitSettings:
+    """Add the parameters that --solve names, each common to all that it belongs to."""
+    stated = {parameter.name for parameter in settings.parameter}
+    added = [ParameterSettings(name) for name in known if name in solve and name not in stated]
+    return msgspec.structs.replace(settings, parameter=(*settings.parameter, *added))
 
 
 def _other_sights(runs: Sequence[Path]) -> list[str]:
@@ -261,98 +381,10 @@ def _kernels(runs: Sequence[RunFolder], settings: OrbitFitSettings, beside: Path
     return list(named)
 
 
-def with_solved(
-    settings: OrbitFitSettings,
-    solve: Sequence[str],
-    fixes: Sequence[OrbitFix],
-    priors: Sequence[OrbitPrior],
-) -> OrbitFitSettings:
-    """The settings with the parameters that --solve names and that the noise model needs.
-
-    Raises UsageError or ConfigError for one that no fix depends on, or that nothing can tell.
-    """
-    parameters = list(settings.parameter)
-    stated = {parameter.name for parameter in parameters}
-    for name in PARAMETERS:
-        if name not in solve or name in stated:
-            continue
-        if name == "clock":
-            parameters += _clocks(fixes, bool(priors) or _are_picked(fixes))
-        elif name == "focal":
-            parameters += _lenses(fixes)
-        else:
-            parameters.append(ParameterSettings(name))
-    names = {parameter.name for parameter in parameters}
-    if settings.noise.model == "mean" and "acceleration" not in names:
-        parameters.append(ParameterSettings("acceleration"))
-    _check_owners(parameters, fixes)
-    if not priors and not _are_picked(fixes):
-        _check_clocks(parameters, fixes)
-    return msgspec.structs.replace(settings, parameter=tuple(parameters))
-
-
-def _lenses(fixes: Sequence[OrbitFix]) -> list[ParameterSettings]:
-    """A focal length for each camera."""
-    names = list(dict.fromkeys(fix.camera for fix in fixes))
-    return [ParameterSettings("focal", camera=name if len(names) > 1 else "") for name in names]
-
-
-def _are_picked(fixes: Sequence[OrbitFix]) -> bool:
-    """Whether all are of picked points: the clock of such a series is known by its stamps alone.
-
-    It then stays at its prior and is said not to be observed, for the orbit's sigma needs it.
-    """
-    return all(fix.sight_m is not None for fix in fixes)
-
-
 def _ends(fixes: Sequence[OrbitFix]) -> tuple[float, float]:
     """TDB s of the first and the last one."""
     times = [fix.tdb_s for fix in fixes]
     return min(times), max(times)
-
-
-def _clocks(fixes: Sequence[OrbitFix], with_prior: bool) -> list[ParameterSettings]:
-    """A clock for each camera, or of one camera for each run; without a prior not for the first."""
-    for kind in ("camera", "run"):
-        names = list(dict.fromkeys(getattr(fix, kind) for fix in fixes))
-        if len(names) > 1:
-            wanted = names if with_prior else names[1:]
-            return [ParameterSettings("clock", **{kind: name}) for name in wanted]
-    return [ParameterSettings("clock")]
-
-
-def _check_owners(parameters: Sequence[ParameterSettings], fixes: Sequence[OrbitFix]) -> None:
-    cameras, runs = {fix.camera for fix in fixes}, {fix.run for fix in fixes}
-    for parameter in parameters:
-        if parameter.name in OF_SIGHTS:
-            raise ConfigError(
-                f"[[parameter]] {parameter.name} belongs to zenith distances, and there are fixes "
-                f"alone; remove it, or name a {ZENITH_CSV}"
-            )
-        for kind, name, known in (
-            ("camera", parameter.camera, cameras),
-            ("run", parameter.run, runs),
-        ):
-            if name and name not in known:
-                raise ConfigError(
-                    f"[[parameter]] {parameter.name}: no fix is of the {kind} '{name}'; there are "
-                    f"{', '.join(sorted(known))}"
-                )
-
-
-def _check_clocks(parameters: Sequence[ParameterSettings], fixes: Sequence[OrbitFix]) -> None:
-    """Raise UsageError where all fixes have clocks to solve for, and nothing states the orbit."""
-    clocks = [p for p in parameters if p.name == "clock" and p.mode == "estimate"]
-
-    def has_clock(fix: OrbitFix) -> bool:
-        return any(p.camera in ("", fix.camera) and p.run in ("", fix.run) for p in clocks)
-
-    if clocks and all(map(has_clock, fixes)):
-        raise UsageError(
-            "a clock offset common to all fixes is not observable: the body-fixed motion later is "
-            "another orbit as good as this one (1 sigma 5e4 s about the Moon); state a [[prior]], "
-            "leave one camera's or run's clock out, or give it mode = \"consider\""
-        )
 
 
 def _inputs(runs: Sequence[Path], ephemeris: Ephemeris) -> dict[str, Any]:

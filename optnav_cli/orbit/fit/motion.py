@@ -85,6 +85,11 @@ class ArcMotion:
         return ArcMotion(self.forces, self._noise, moved, self.sizes)
 
     @property
+    def is_noisy(self) -> bool:
+        """Whether forces that are left out act as noise between nodes."""
+        return self._noise.model not in ("none", "mean")
+
+    @property
     def thrusts(self) -> list[FloatArray]:
         """Covariances (3, 3) of the arcs of thrust, m^2/s^4."""
         return [arc.covariance for arc in self.forces.settings.thrust]
@@ -115,7 +120,7 @@ class ArcMotion:
 
         positions_m  (n, 3)
         """
-        if self._noise.model in ("none", "mean"):
+        if not self.is_noisy:
             return np.zeros((len(positions_m), 3))
         if self._noise.density_m2_s3 is not None:
             return np.full((len(positions_m), 3), self._noise.density_m2_s3)
@@ -163,7 +168,7 @@ class ArcMotion:
         ends[last] = times[1:]
         flown, transitions, pushed = self._motion.legs(states, times[:-1], ends, counts, names)
         noises = np.zeros((len(spans), 6, 6))
-        if self._noise.model not in ("none", "mean"):
+        if self.is_noisy:
             starts = np.concatenate([states[:1], flown[:-1]])
             starts[last + 1 - counts] = states
             noises = self._noises(starts, seconds, transitions, counts)

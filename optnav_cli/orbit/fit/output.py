@@ -108,10 +108,13 @@ def write_orbit_folder(
     (place / ORBIT_TOML).write_text(text, encoding="utf-8")
     rows = rows_of_fit(dense)
     write_orbit_rows(place / ORBIT_CSV, rows, fit.problem.ephemeris)
-    ORBIT_RESIDUALS.write(place / RESIDUALS, residual_rows(fit))
+    if fit.problem.fixes or fit.problem.sights is None:
+        ORBIT_RESIDUALS.write(place / RESIDUALS, residual_rows(fit))
     DISTURBANCES.write(place / DISTURBANCES_CSV, disturbance_rows(fit))
     fixes = np.array([kind == "fix" for kind in rows.kinds])
     body = fit.problem.ephemeris.body.name
+    if not fixes.any():
+        fixes = np.isin(rows.times, fit.problem.times)
     oem = Oem(body, rows.times, rows.states, rows.times[fixes], rows.covariances[fixes])
     # the day of its last state, not of its writing: the same fixes make the same file
     write_oem(place / ORBIT_OEM, oem, "CRAFT", utc_from_tdb_s(float(rows.times[-1]), 0))
@@ -213,16 +216,14 @@ def summary(fit: OrbitFit) -> list[str]:
     """A few lines for people."""
     first, last = (utc_from_tdb_s(float(fit.problem.times[k]), 0) for k in (0, -1))
     lines = [
-        f"orbit through {fit.used} of {len(fit.residuals)} fixes from {first} to {last}, "
+        f"orbit through {fit.used} of {fit.count} {fit.problem.measured} from {first} to {last}, "
         f"{fit.steps} steps",
         f"chi-square {fit.chi_square:.0f} of {fit.degrees_of_freedom}",
     ]
     sigmas = np.sqrt(np.trace(fit.covariances[:, :3, :3], axis1=1, axis2=2) / 3.0)
     fixes = [np.sqrt(np.trace(fix.covariance_m2) / 3.0) for fix in fit.problem.fixes]
-    lines.append(
-        f"median sigma an axis: {format_length(float(np.median(sigmas)))} of the orbit, "
-        f"{format_length(float(np.median(fixes)))} of a fix"
-    )
+    line = f"median sigma an axis: {format_length(float(np.median(sigmas)))} of the orbit"
+    lines.append(f"{line}, {format_length(float(np.median(fixes)))} of a fix" if fixes else line)
     lines += parameter_lines(fit)
     left_out = [
         f"left out {fix.file}: {LEFT_OUT} (chi-square {residual.chi_square:.0f} of 3)"

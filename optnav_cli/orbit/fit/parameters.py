@@ -66,6 +66,11 @@ class FitParameter:
         return self.name not in OF_MEASUREMENTS
 
 
+def _count_components(setting: ParameterSettings, sizes: Mapping[str, int]) -> int:
+    by_pass = "/pass" if setting.per == "pass" else ""
+    return sizes.get(f"{setting.name}{by_pass}", 1)
+
+
 def parameters_of(
     settings: Sequence[ParameterSettings],
     thrusts: Sequence[FloatArray],
@@ -74,12 +79,12 @@ def parameters_of(
     """Those estimated and those considered, each with its place.
 
     thrusts  covariances (3, 3) of the arcs of thrust, which are estimated too
-    sizes    how many numbers a parameter has; 1 where not named
+    sizes    how many numbers a parameter has; 1 where not named; NAME/pass: one for each pass
     """
     by_mode: dict[str, list[FitParameter]] = {"estimate": [], "consider": []}
     ends = dict.fromkeys(by_mode, 0)
     every: list[tuple[str, ParameterSettings, FloatArray]] = [
-        (setting.name, setting, np.eye(sizes.get(setting.name, 1)) * setting.sigma**2)
+        (setting.name, setting, np.eye(_count_components(setting, sizes)) * setting.sigma**2)
         for setting in settings
     ]
     for number, covariance in enumerate(thrusts, start=1):

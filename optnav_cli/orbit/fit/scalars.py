@@ -74,7 +74,7 @@ class ScalarSet(ABC):
         """Compute the values (n,) of states (n, k, 6), and their derivatives (n, k, 6)."""
 
     @abstractmethod
-    def by_parameter(
+    def differentiate(
         self, parameter: FitParameter, states: FloatArray, by_states: FloatArray
     ) -> FloatArray | None:
         """Return the derivatives (n, size) by a parameter; None: they do not depend on it.
@@ -153,7 +153,7 @@ class ScalarArc:
                     by: FloatArray | None = by_forces[:, column : column + p.size]
                     column += p.size
                 else:
-                    by = measurements.by_parameter(p, there, by_states)
+                    by = measurements.differentiate(p, there, by_states)
                 if by is None:
                     continue
                 if p.settings.mode == "estimate":

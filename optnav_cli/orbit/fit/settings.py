@@ -14,7 +14,21 @@ from optnav_cli.frames.run_settings import SpiceSettings
 
 KIND = "orbit"  # of the output folder
 
-Name = Literal["clock", "focal", "map_offset", "acceleration", "srp", "vertical", "star_catalog"]
+Name = Literal[
+    "clock",
+    "focal",
+    "map_offset",
+    "acceleration",
+    "srp",
+    "vertical",
+    "star_catalog",
+    "range_bias",
+    "range_rate_bias",
+    "station_clock",
+    "station_place",
+    "troposphere",
+    "ephemeris",
+]
 Mode = Literal["estimate", "consider"]
 NoiseModel = Literal["white", "mean", "nuisance", "none"]
 PARAMETERS: tuple[Name, ...] = ("clock", "focal", "map_offset", "acceleration", "srp")
@@ -27,6 +41,12 @@ PRIOR_SIGMAS: dict[Name, float] = {
     "srp": 0.02,
     "vertical": 0.1,
     "star_catalog": 0.01,
+    "range_bias": 20.0,
+    "range_rate_bias": 1e-3,
+    "station_clock": 1e-3,
+    "station_place": 1.0,
+    "troposphere": 1.0,
+    "ephemeris": 5.0,
 }
 UNITS: dict[str, str] = {
     "clock": "s",
@@ -36,12 +56,28 @@ UNITS: dict[str, str] = {
     "srp": "m2/kg",
     "vertical": "arcsec",
     "star_catalog": "arcsec",
+    "range_bias": "m",
+    "range_rate_bias": "m/s",
+    "station_clock": "s",
+    "station_place": "sigma",
+    "troposphere": "sigma",
+    "ephemeris": "m",
 }
-# Parameters of the fixes of a camera or of a run, and of all zenith distances; the others move the
-# craft.
+# Parameters of the fixes of a camera or of a run, of all zenith distances, and of signals from
+# stations; the others move the craft.
 OF_FIXES: tuple[Name, ...] = ("clock", "focal", "map_offset")
 OF_SIGHTS: tuple[Name, ...] = ("vertical", "star_catalog")
-OF_MEASUREMENTS: tuple[Name, ...] = (*OF_FIXES, *OF_SIGHTS)
+OF_SIGNALS: tuple[Name, ...] = (
+    "range_bias",
+    "range_rate_bias",
+    "station_clock",
+    "station_place",
+    "troposphere",
+    "ephemeris",
+)
+OF_PASSES: tuple[Name, ...] = ("range_bias", "range_rate_bias", "station_clock")
+CONSIDERED: tuple[Name, ...] = ("station_place", "troposphere", "ephemeris")
+OF_MEASUREMENTS: tuple[Name, ...] = (*OF_FIXES, *OF_SIGHTS, *OF_SIGNALS)
 
 Vector = tuple[
     Annotated[float, Meta(ge=-1e13, le=1e13)],
@@ -78,6 +114,7 @@ class ParameterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     camera, run  whose fixes it belongs to; of a run, the name of its folder; "": all
     prior_sigma  s, a share, m, m/s^2, m^2/kg or arc seconds; unset: wide
     mode         estimate it, or only consider that it is not known
+    per          of signals: one number for each station, or for each of its passes
     """
 
     name: Name
@@ -85,6 +122,7 @@ class ParameterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     run: str = ""
     prior_sigma: Positive | None = None
     mode: Mode = "estimate"
+    per: Literal["station", "pass"] = "station"
 
     @property
     def sigma(self) -> float:
@@ -177,6 +215,12 @@ def check_parameters(parameters: tuple[ParameterSettings, ...]) -> None:
         owned = parameter.name in OF_FIXES
         if not owned and (parameter.camera or parameter.run):
             what = "is common to all zenith distances" if parameter.name in OF_SIGHTS else ""
+            what = "belongs to signals of stations" if parameter.name in OF_SIGNALS else what
             what = what or "moves the craft, whatever camera looks"
             raise ConfigError(f"[[parameter]] {parameter.name} {what}; remove camera and run")
+        if parameter.per == "pass" and parameter.name not in OF_PASSES:
+            raise ConfigError(
+                f"[[parameter]] {parameter.name} has no number for each pass; remove per, or name "
+                f"one of {', '.join(OF_PASSES)}"
+            )
         seen.add(parameter.label)

@@ -102,7 +102,7 @@ class ZenithSights(ScalarSet):
         by_states[:, 0, :3] = by_place
         return angles, by_states
 
-    def by_parameter(
+    def differentiate(
         self, parameter: FitParameter, states: FloatArray, by_states: FloatArray
     ) -> FloatArray | None:
         """Differentiate by the vertical forward and across, or by stars' places, per arc second."""

@@ -1,6 +1,7 @@
 """Zenith distances to an orbit and its folder, as `optnav orbit fit` does with a zenith.csv."""
 
 import logging
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import load_ephemeris
 from catalog.bodies.epochs import utc_from_tdb_s
@@ -24,7 +26,8 @@ from optnav_cli.frames.run_settings import (
     read_run_settings,
     write_run_settings,
 )
-from optnav_cli.orbit.fit.fit import OrbitFit, densify
+from optnav_cli.orbit.fit.first import with_nodes
+from optnav_cli.orbit.fit.fit import OrbitFit, densify, fit_orbit, settle_fit
 from optnav_cli.orbit.fit.folder import (
     DISTURBANCES_CSV,
     ORBIT_CSV,
@@ -35,10 +38,11 @@ from optnav_cli.orbit.fit.folder import (
     toml_of,
     write_orbit_rows,
 )
+from optnav_cli.orbit.fit.measurements import orbit_priors
 from optnav_cli.orbit.fit.motion import ArcMotion
 from optnav_cli.orbit.fit.oem import Oem, write_oem
 from optnav_cli.orbit.fit.output import disturbance_rows, orbit_file, parameter_lines
-from optnav_cli.orbit.fit.priors import orbit_priors
+from optnav_cli.orbit.fit.problem import OrbitPrior, OrbitProblem, Trajectory
 from optnav_cli.orbit.fit.settings import (
     OF_FIXES,
     OF_SIGHTS,
@@ -46,8 +50,8 @@ from optnav_cli.orbit.fit.settings import (
     OrbitFitSettings,
     ParameterSettings,
 )
+from optnav_cli.orbit.fit.solver import OrbitSolver
 from optnav_cli.orbit.fit.zenith import ZENITH_CSV, ZenithSights, read_zenith
-from optnav_cli.orbit.fit.zenith_fit import fit_zenith
 from optnav_cli.output.manifest import OutputFolder
 from optnav_cli.output.run_folder import SOLUTION
 from optnav_cli.output.wording import format_length
@@ -79,12 +83,17 @@ def write_zenith_folder(
     kinds: list[Kind] = ["between"] * len(times)
     rows = OrbitRows(times, kinds, dense.trajectory.states, dense.covariances)
     write_orbit_rows(place / ORBIT_CSV, rows, dense.problem.ephemeris)
-    ZENITH_RESIDUALS.write(place / ZENITH_RESIDUALS_CSV, _residual_rows(sights, fit))
+    write_zenith_residuals(place, sights, fit)
     DISTURBANCES.write(place / DISTURBANCES_CSV, disturbance_rows(fit))
     oem = Oem(
         dense.problem.ephemeris.body.name, times, rows.states, fit.problem.times, fit.covariances
     )
     write_oem(place / ORBIT_OEM, oem, "CRAFT", utc_from_tdb_s(float(times[-1]), 0))
+
+
+def write_zenith_residuals(place: Path, sights: ZenithSights, fit: OrbitFit) -> None:
+    """Write zenith_residuals.csv to a folder."""
+    ZENITH_RESIDUALS.write(place / ZENITH_RESIDUALS_CSV, _residual_rows(sights, fit))
 
 
 def _residual_rows(sights: ZenithSights, fit: OrbitFit) -> Iterator[dict[str, object]]:
@@ -147,18 +156,13 @@ def is_zenith(path: Path) -> bool:
 def read_zenith_inputs(inputs: Sequence[Path]) -> ZenithInputs:
     """The sights of files, or of folders that have one.
 
-    Raises UsageError where others are among them, DataError for damaged ones or several bodies.
+    Raises DataError for damaged ones or several bodies, UsageError for one that is named twice.
     """
-    if not all(map(is_zenith, inputs)):
-        raise UsageError(
-            "zenith distances and fixes are not fitted together; fit the one, and give its "
-            "orbit.oem to the other as a [[prior]]"
-        )
     paths = [path if path.suffix == CSV else path / ZENITH_CSV for path in inputs]
     if len({path.resolve() for path in paths}) < len(paths):
         raise UsageError("a file of zenith distances is named twice; name each once")
     parts = [read_zenith(path) for path in paths]
-    sources = [_settings(path) for path in paths]
+    sources = [source_settings(path) for path in paths]
     for path, (_, body) in zip(paths, sources, strict=True):
         if body != sources[0][1]:
             raise DataError(
@@ -202,12 +206,13 @@ def fit_zenith_files(
     return zenith_summary(source.sights, fit)
 
 
-def _settings(path: Path) -> tuple[RunSettings, Body]:
+def source_settings(path: Path) -> tuple[RunSettings, Body]:
+    """Read the run.toml beside a file of measurements; without one they are of the Moon."""
     beside = path.parent / RUN_TOML
     if beside.is_file():
         return read_run_settings(beside)
     log.warning(
-        "%s: no run.toml stands beside it; the zenith distances are taken for those of the %s",
+        "%s: no run.toml stands beside it; its measurements are taken for those of the %s",
         path,
         DEFAULT_BODY,
     )
@@ -250,3 +255,48 @@ def _with_solved(settings: OrbitFitSettings, solve: Sequence[str]) -> OrbitFitSe
                 "solve for srp, acceleration or vertical, or fit a run"
             )
     return msgspec.structs.replace(settings, parameter=tuple(parameters))
+
+
+def zenith_problem(
+    motion: ArcMotion,
+    sights: ZenithSights,
+    priors: Sequence[OrbitPrior],
+    parameters: Sequence[ParameterSettings],
+    state: FloatArray,
+    step_s: float = math.inf,
+) -> OrbitProblem:
+    """Prepare the problem with its nodes.
+
+    state   (6,) of about the orbit, whose motion the nodes' distance follows
+    step_s  nodes are no farther apart
+
+    Raises NoSolutionError for an arc of too many nodes.
+    """
+    return with_nodes(_problem_of(motion, sights, priors, parameters), state, step_s)
+
+
+def _problem_of(
+    motion: ArcMotion,
+    sights: ZenithSights,
+    priors: Sequence[OrbitPrior],
+    parameters: Sequence[ParameterSettings],
+) -> OrbitProblem:
+    radius = motion.ephemeris.body.radius_m
+    return OrbitProblem(motion, [], list(priors), list(parameters), radius, sights=sights)
+
+
+def fit_zenith(
+    motion: ArcMotion,
+    sights: ZenithSights,
+    priors: Sequence[OrbitPrior],
+    parameters: Sequence[ParameterSettings],
+    gate_probability: float,
+) -> OrbitFit:
+    """Fit. Raises NoSolutionError where the sights leave the orbit open or fit none."""
+    problem = _problem_of(motion, sights, priors, parameters)
+    return fit_orbit(problem, "white", gate_probability)
+
+
+def settled(problem: OrbitProblem, at: Trajectory, gate_probability: float) -> OrbitFit:
+    """Fit from a trajectory near it. Raises NoSolutionError where the steps do not converge."""
+    return settle_fit(OrbitSolver(problem, "white"), at, gate_probability)

@@ -15,7 +15,7 @@ from optnav_cli.frames.orbit_tables import ZENITH
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.navigate.zenith_file import make_zenith_rows
 from optnav_cli.orbit.fit.zenith import read_zenith
-from optnav_cli.orbit.fit.zenith_fit import fit_zenith
+from optnav_cli.orbit.fit.zenith_job import fit_zenith
 from optnav_cli.reasons import NO_REASON
 from tests.optnav_cli.orbit.fit.flights import EPHEMERIS, START_S, truth
 from tests.optnav_cli.orbit.fit.test_zenith import GATE, MOTION

@@ -20,7 +20,7 @@ from optnav_cli.orbit.fit.missing_forces import _solve, check_pattern
 from optnav_cli.orbit.fit.motion import ArcMotion
 from optnav_cli.orbit.fit.problem import Trajectory
 from optnav_cli.orbit.fit.settings import NoiseSettings, ParameterSettings
-from optnav_cli.orbit.fit.zenith_fit import fit_zenith, zenith_problem
+from optnav_cli.orbit.fit.zenith_job import fit_zenith, zenith_problem
 from tests.optnav_cli.orbit.fit.flights import (
     EPHEMERIS,
     MOON,

@@ -9,7 +9,7 @@ from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import NoSolutionError
 from optnav_cli.main import run
 from optnav_cli.orbit.fit.fit import fit_orbit
-from optnav_cli.orbit.fit.time_errors import are_whole_seconds, body_fixed_speeds
+from optnav_cli.orbit.fit.solver import are_whole_seconds, body_fixed_speeds
 from tests.optnav_cli.orbit.fit.flights import START_S, fixes_of, problem, truth, write_run
 
 GATE = 1e-5

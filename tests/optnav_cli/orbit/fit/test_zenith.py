@@ -16,7 +16,7 @@ from optnav_cli.orbit.fit.motion import ArcMotion, rnb_of
 from optnav_cli.orbit.fit.problem import OrbitPrior, Trajectory
 from optnav_cli.orbit.fit.settings import ParameterSettings
 from optnav_cli.orbit.fit.zenith import ZenithSights, read_zenith, zenith_distances, zenith_row
-from optnav_cli.orbit.fit.zenith_fit import fit_zenith, zenith_problem
+from optnav_cli.orbit.fit.zenith_job import fit_zenith, zenith_problem
 from tests.optnav_cli.orbit.fit.flights import FORCES, QUIET, START_S, truth, write_truth_of
 
 HEIGHT_M = 1000e3
