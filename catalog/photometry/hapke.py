@@ -8,30 +8,13 @@ planes of incidence and emission.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
 from catalog.geometry.kernel import kernel
-
-
-class HapkeParameters(NamedTuple):
-    """The parameters of a surface.
-
-    w          single-scattering albedo
-    b, c       double Henyey-Greenstein lobes: width, and (1 + c) / 2 of it goes backwards
-    bs0, hs    amplitude and angular half-width (tan of half the phase) of the opposition surge
-    theta_bar  mean slope of the unresolved relief, rad
-    """
-
-    w: float
-    b: float
-    c: float
-    bs0: float
-    hs: float
-    theta_bar: float
+from catalog.photometry.sets import HapkeParameters
 
 
 @kernel

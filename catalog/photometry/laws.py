@@ -18,8 +18,8 @@ from catalog.arrays import FloatArray
 from catalog.errors import ConfigError
 from catalog.geometry.kernel import kernel
 from catalog.photometry import hapke
-from catalog.photometry.hapke import HapkeParameters, stack_cosines
-from catalog.photometry.sets import LUNAR
+from catalog.photometry.hapke import stack_cosines
+from catalog.photometry.sets import LUNAR, HapkeParameters
 
 NORMAL_ALBEDO = 0.12  # the Moon's geometric albedo in V (Allen's Astrophysical Quantities, 4th ed.)
 HAPKE, LOMMEL_SEELIGER, LUNAR_LAMBERT, LAMBERT = 0, 1, 2, 3  # numbers of the laws in kernels

@@ -6,16 +6,14 @@ and a config may choose one by name or state its numbers.
 
 import math
 from functools import cache
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
-import numpy as np
 from msgspec import Meta
 
 from catalog.arrays import FloatArray
 from catalog.config import load_toml, nearest_name, resource
 from catalog.errors import ConfigError
-from catalog.photometry.hapke import HapkeParameters, phase_function, reflectance
 
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
 # What the parameters can be. Beyond these the law has no sense: H functions need w < 1, lobes
@@ -34,7 +32,23 @@ RANGES: dict[str, tuple[float, float]] = {
     "emission_max_deg": (0.0, 90.0),
 }
 MOON = "moon"
-DISC_NODES = 200  # of the integral over a disc: right to 1e-6
+
+
+class HapkeParameters(NamedTuple):
+    """The parameters of a surface.
+
+    w          single-scattering albedo
+    b, c       double Henyey-Greenstein lobes: width, and (1 + c) / 2 of it goes backwards
+    bs0, hs    amplitude and angular half-width (tan of half the phase) of the opposition surge
+    theta_bar  mean slope of the unresolved relief, rad
+    """
+
+    w: float
+    b: float
+    c: float
+    bs0: float
+    hs: float
+    theta_bar: float
 
 
 class HapkeSet(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -89,7 +103,11 @@ class HapkeSet(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         surface = self.surface
         if surface.w >= 1.0:
             return f"w times porosity_factor is {surface.w:.3g}; wanted less than 1"
-        least = min(phase_function(cosine, surface.b, surface.c) for cosine in (-1.0, 1.0))
+        # the double Henyey-Greenstein function, which is least at one of its ends
+        lobe = 1.0 - surface.b**2
+        narrow, wide = lobe / (1.0 - surface.b) ** 3, lobe / (1.0 + surface.b) ** 3
+        half = 0.5 * (1.0 + surface.c)
+        least = min(half * narrow + (1.0 - half) * wide, half * wide + (1.0 - half) * narrow)
         if least < 0.0:
             return (
                 f"c is {surface.c:g} with b = {surface.b:g}: the phase function falls to "
@@ -205,13 +223,6 @@ def load_sets(body: str) -> tuple[PhotometricSet, ...]:
     if name != body or not path.is_file():
         name, path = MOON, folder / f"{MOON}.toml"
     return load_toml(path, BodyPhotometry).name_sets(name, str(path))
-
-
-def compute_geometric_albedo(surface: HapkeParameters) -> float:
-    """Geometric albedo of a sphere: its light at zero phase over that of a white disc."""
-    nodes, weights = np.polynomial.legendre.leggauss(DISC_NODES)
-    mu = 0.5 * (nodes + 1.0)
-    return float(weights @ (mu * reflectance(mu, mu, np.ones_like(mu), surface)))
 
 
 LUNAR = load_sets(MOON)[0].surface

@@ -13,7 +13,8 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
-from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
+from catalog.photometry.hapke import reflectance_scalar
+from catalog.photometry.sets import HapkeParameters
 from catalog.rendering.shading import ZERO, Lighting, MapGrid, Rows, compute_normal, round_to_single
 
 TABLE_SLOPE = 1.0  # beyond 45 deg ground is rare, and evaluated

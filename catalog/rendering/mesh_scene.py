@@ -6,8 +6,8 @@ from numpy.typing import ArrayLike
 from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, Int32Array, IntArray
 from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import unit
-from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
-from catalog.photometry.sets import LUNAR
+from catalog.photometry.hapke import reflectance_scalar
+from catalog.photometry.sets import LUNAR, HapkeParameters
 from catalog.terrain.mesh.rays import MeshRays, compute_outward_normal
 
 # Shadow rays start so far over their face, share of the body's reach: 32 bits end at a hundredth.

@@ -21,8 +21,8 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import inplace_kernel, kernel
-from catalog.photometry.hapke import HapkeParameters
 from catalog.photometry.laws import SurfaceLaw
+from catalog.photometry.sets import HapkeParameters
 from catalog.rendering.hapke_table import shade_hapke
 from catalog.rendering.shading import (
     LIMIT,

@@ -94,11 +94,15 @@ def fit(
       optnav orbit fit run --measurements measurements.csv --stations stations.toml -o orbit
       optnav orbit fit run --config orbit.toml -o orbit
     """
+    from catalog.inputs import check_input
     from optnav_cli.orbit.fit.job import TrackingFiles, fit_runs
     from optnav_cli.orbit.fit.settings import OrbitFitSettings, load_orbit_settings
 
     settings = load_orbit_settings(config) if config else OrbitFitSettings()
     report_compilation()
+    if stations is not None and measurements is None:
+        check_input(stations, "stations")
+        raise click.UsageError("--stations are those of --measurements; name both or neither")
     if not runs and measurements is None:
         raise click.UsageError("name RUNS, --measurements, or both")
     beside = config.parent if config else Path()

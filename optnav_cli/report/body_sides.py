@@ -14,7 +14,7 @@ from markupsafe import Markup
 from catalog.arrays import ByteArray, FloatArray, IntArray
 from catalog.errors import DataError, UsageError
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.photometry.hapke import HapkeParameters
+from catalog.photometry.sets import HapkeParameters
 from catalog.rendering.mesh_scene import MeshScene
 from catalog.store.reader import Catalog
 from catalog.terrain.mesh.rays import MeshRays

@@ -18,8 +18,7 @@ from catalog.bodies.body import Body
 from catalog.cache import Cache
 from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import Lattice, xyz_from_latlon
-from catalog.photometry.hapke import HapkeParameters
-from catalog.photometry.sets import LUNAR
+from catalog.photometry.sets import LUNAR, HapkeParameters
 from catalog.rendering.rays.ground import Ground, make_ground, make_whole_sphere
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings

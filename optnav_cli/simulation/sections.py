@@ -11,8 +11,7 @@ from msgspec import Meta
 from catalog.bodies.body import Body
 from catalog.config import NotNegative, Slope, Turn
 from catalog.errors import ConfigError
-from catalog.photometry.hapke import HapkeParameters
-from catalog.photometry.sets import LUNAR
+from catalog.photometry.sets import LUNAR, HapkeParameters
 from catalog.terrain.error_model import ErrorSpectrum, load_terrain_laws
 from catalog.terrain.synthetic.model_error import ModelError, SlopeMap
 from catalog.terrain.synthetic.relief import SyntheticRelief

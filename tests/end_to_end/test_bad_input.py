@@ -153,7 +153,7 @@ def test_a_bad_terrain_model_is_told_and_leaves_nothing(
         (CONFIG + "[select]\nspacng_cell = 0.5\n", ("[select]", "did you mean 'spacing_cell'?")),
         (CONFIG + '[grid]\ncell_deg = "one"\n', ("[grid] cell_deg", "must be a number")),
         (CONFIG.replace("[[dem]]", "[dem]"), ("write [[dem]]",)),
-        ('[body]\nname = "moon"\n', ("no [[dem]] and no [[mesh]] section",)),
+        ('[body]\nname = "moon"\n', ("no [[dem]], [[mesh]] or [[image]] section",)),
         ("hello", ("not valid TOML",)),
     ],
 )

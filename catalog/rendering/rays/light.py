@@ -7,7 +7,8 @@ import numpy as np
 
 from catalog.arrays import ByteArray, Float32Array, FloatArray
 from catalog.geometry.kernel import kernel, parallel_kernel
-from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
+from catalog.photometry.hapke import reflectance_scalar
+from catalog.photometry.sets import HapkeParameters
 from catalog.rendering.rays.ground import Ground
 from catalog.rendering.rays.march import DARK, Ray, walk
 

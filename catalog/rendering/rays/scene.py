@@ -14,8 +14,7 @@ from catalog.arrays import ByteArray, Float32Array, FloatArray
 from catalog.geometry.grid import interpolate_bicubic, interpolate_bilinear
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.geometry.vectors import unit
-from catalog.photometry.hapke import HapkeParameters
-from catalog.photometry.sets import LUNAR
+from catalog.photometry.sets import LUNAR, HapkeParameters
 from catalog.rendering.rays.ground import Ground, crop_surroundings
 from catalog.rendering.rays.light import BLOCK, Light, fill_lit_shares, shade, shade_blocks
 from catalog.rendering.rays.march import FINE, SKY, WIDE, Ray, intersect_ground

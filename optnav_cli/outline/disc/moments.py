@@ -14,9 +14,8 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import project_to_surface
 from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.photometry.hapke import HapkeParameters
 from catalog.photometry.laws import SurfaceLaw, find_law
-from catalog.photometry.sets import LUNAR
+from catalog.photometry.sets import LUNAR, HapkeParameters
 from catalog.terrain.relief.relief import GlobalRelief, interpolate_relief
 from optnav_cli.frames.segmentation import ROUNDING_VARIANCE, Blobs, Segmented
 from optnav_cli.reasons import ReasonCode

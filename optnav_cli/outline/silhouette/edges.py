@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, IndexArray
-from catalog.photometry.hapke import HapkeParameters
+from catalog.photometry.sets import HapkeParameters
 from catalog.rendering.mesh_scene import LIFT, select_sunward, shade_faces
 from catalog.terrain.mesh.rays import MeshRays
 from optnav_cli.camera.camera import Camera

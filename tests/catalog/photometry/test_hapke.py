@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from catalog.photometry import hapke
-from catalog.photometry.hapke import HapkeParameters
-from catalog.photometry.sets import LUNAR
+from catalog.photometry.sets import LUNAR, HapkeParameters
 
 SMOOTH = LUNAR._replace(theta_bar=0.0)
 ROUGHER = LUNAR._replace(theta_bar=math.radians(35.0))

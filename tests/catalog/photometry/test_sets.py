@@ -8,12 +8,13 @@ import pytest
 from catalog.bodies.body import load_body, read_body
 from catalog.config import parse_toml
 from catalog.errors import ConfigError
+from catalog.photometry.hapke import reflectance
 from catalog.photometry.laws import find_law
 from catalog.photometry.sets import (
     LUNAR,
     BodyPhotometry,
+    HapkeParameters,
     PhotometrySettings,
-    compute_geometric_albedo,
     load_sets,
 )
 from catalog.store.manifest import CatalogMeta, format_content, meta_from_rows, rows_from_meta
@@ -21,6 +22,15 @@ from catalog.store.manifest import CatalogMeta, format_content, meta_from_rows, 
 FOLDER = Path(__file__).resolve().parents[3] / "configs" / "photometry"
 BODIES = sorted(path.stem for path in FOLDER.glob("*.toml"))
 GOOD = "w = 0.3\nb = 0.2\nc = 0.3\nbs0 = 1.0\nhs = 0.05\ntheta_bar_deg = 20.0\n"
+
+DISC_NODES = 200  # of the integral over a disc: right to 1e-6
+
+
+def compute_geometric_albedo(surface: HapkeParameters) -> float:
+    """Geometric albedo of a sphere: its light at zero phase over that of a white disc."""
+    nodes, weights = np.polynomial.legendre.leggauss(DISC_NODES)
+    mu = 0.5 * (nodes + 1.0)
+    return float(weights @ (mu * reflectance(mu, mu, np.ones_like(mu), surface)))
 
 
 def a_set(text: str):
