@@ -191,6 +191,11 @@ HEADLINES: dict[str, dict[str, str]] = {
             "arc 0 0 direction_1_deg arc_deg; 0 6 direction_1_deg arc_deg"
         ),
     },
+    "flight_computer": {
+        "limb {} ms, {} MB; points {} ms, {} MB; descent {} ms, {} MB": (
+            "flight_computer 0 1 time_ms memory_mb; 0 2 time_ms memory_mb; 0 4 time_ms memory_mb"
+        ),
+    },
     "rotation": {
         "Moon with correction: {} rms, largest {}": "rotation 0 1 rms largest",
     },

@@ -1,9 +1,13 @@
 """Pictures of the sky, drawn by other means than the simulator's: Gaussian spots, noise, faults."""
 
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import compute_velocity_inertial
 from catalog.bodies.epochs import utc_to_tdb_s
@@ -23,7 +27,7 @@ def turned(ra_deg: float, dec_deg: float, roll_deg: float) -> Rotation:
     return Rotation.from_euler("ZXZ", angles, degrees=True).inv()
 
 
-def sky_directions(utc: str = UTC) -> np.ndarray:
+def sky_directions(utc: str = UTC) -> FloatArray:
     """The stars as seen from the Earth's motion."""
     time = utc_to_tdb_s(utc)
     return apply_aberration(
@@ -32,8 +36,14 @@ def sky_directions(utc: str = UTC) -> np.ndarray:
 
 
 def drawn_sky(
-    turn: Rotation, camera: Camera = CAMERA, *, seed=0, trail_px=0.0, blur_px=0.7, faintest=6.0
-) -> np.ndarray:
+    turn: Rotation,
+    camera: Camera = CAMERA,
+    *,
+    seed: int = 0,
+    trail_px: float = 0.0,
+    blur_px: float = 0.7,
+    faintest: float = 6.0,
+) -> Float32Array:
     """Counts (h, w) of the stars that a camera sees, with noise; stars of V 6 just stand out."""
     rng = np.random.default_rng(seed)
     pixels = camera.project(turn.apply(sky_directions()))
@@ -52,17 +62,24 @@ def drawn_sky(
     return np.clip(picture, 0.0, 65535.0).astype(np.float32)
 
 
-def add_body(picture: np.ndarray, centre=(150, 330), radius=90, glare=150.0) -> np.ndarray:
+def add_body(
+    picture: Float32Array,
+    centre: tuple[int, int] = (150, 330),
+    radius: int = 90,
+    glare: float = 150.0,
+) -> Float32Array:
     """The same with a lit body, saturated, and its glare."""
     rows, cols = np.mgrid[: picture.shape[0], : picture.shape[1]]
     away = np.hypot(cols - centre[0], rows - centre[1])
-    out = picture + glare * np.exp(-np.maximum(away - radius, 0.0) / 60.0)
+    out: FloatArray = picture + glare * np.exp(-np.maximum(away - radius, 0.0) / 60.0)
     lit = cv2.circle(np.zeros(picture.shape, np.uint8), centre, radius, 1, -1) > 0
     out[lit] = 60_000.0
     return out.astype(np.float32)
 
 
-def spots_of(turn: Rotation, camera: Camera, rng, faintest: float, false: int) -> StarSpots:
+def spots_of(
+    turn: Rotation, camera: Camera, rng: np.random.Generator, faintest: float, false: int
+) -> StarSpots:
     """Spots as a detector gives them: 0.15 px of noise, false ones among them."""
     stars = load_bright_stars()
     pixels = camera.project(turn.apply(stars.propagate(None)))
@@ -77,7 +94,9 @@ def spots_of(turn: Rotation, camera: Camera, rng, faintest: float, false: int) -
     return StarSpots(places[order], light, np.full(len(order), 0.15), 0, 0, 0.0)
 
 
-def sky_folder(place, pictures, rows=None):
+def sky_folder(
+    place: Path, pictures: Mapping[str, Float32Array], rows: Sequence[str] | None = None
+) -> Path:
     """A folder of pictures by name, with the camera and frames.csv without attitudes."""
     (place / "cameras").mkdir(parents=True)
     (place / "cameras/sky.toml").write_text(camera_toml(CAMERA))

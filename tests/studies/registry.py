@@ -459,6 +459,21 @@ _OTHERS = (
             seed("Of grounds, noise and errors."),
         ),
     ),
+    Study(
+        "flight_computer",
+        "Time and memory of a frame by each method.",
+        """Navigate by one frame in each way, in a process of its own, on one core in one thread.
+
+        Times are of the processor, warm; memory is the greatest over what the loaded modules take.
+        Needs nothing but what is bundled, and Linux. Takes ten minutes, most of them for pictures
+        of a descent.""",
+        "--rows cylinder",
+        (
+            output("optnav-flight-computer", "Folder for pictures and catalogs; used again."),
+            option("--rows", str, "", "Only modes whose name contains this, such as 'stars'."),
+            option("--rounds", click.IntRange(1, 1000), 7, "Frames of each mode that are timed."),
+        ),
+    ),
 )
 
 STUDIES = tuple(sorted((*_OTHERS, *ORBIT_STUDIES), key=lambda study: study.name))
