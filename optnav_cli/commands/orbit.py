@@ -100,11 +100,12 @@ def fit(
 
     settings = load_orbit_settings(config) if config else OrbitFitSettings()
     report_compilation()
-    if stations is not None and measurements is None:
+    if stations is not None:
         check_input(stations, "stations")
-        raise click.UsageError("--stations are those of --measurements; name both or neither")
     if not runs and measurements is None:
         raise click.UsageError("name RUNS, --measurements, or both")
+    if stations is not None and measurements is None:
+        raise click.UsageError("--stations are those of --measurements; name both or neither")
     beside = config.parent if config else Path()
     tracking = TrackingFiles(measurements, stations) if measurements else None
     report_lines(fit_runs(runs, output, settings, solve, beside, tracking))

@@ -72,6 +72,12 @@ class Pad:
     reason: str = ""
 
 
+def count_odd_cells(length_m: float, cell_m: float) -> int:
+    """Count the cells of a length: the least odd number that it fits into."""
+    cells = math.ceil(length_m / cell_m - 1e-6)
+    return cells + 1 - cells % 2
+
+
 def count_pad_cells(view: PictureOnGround, pad_m: float) -> int:
     """Count the cells of a pad's side: the least odd number that it fits into.
 
@@ -91,7 +97,7 @@ def count_pad_cells(view: PictureOnGround, pad_m: float) -> int:
             f" x {rows * view.cell_m:.0f} m of ground",
             "large_pad",
         )
-    return cells + 1 - cells % 2
+    return count_odd_cells(pad_m, view.cell_m)
 
 
 def rate_slopes(

@@ -13,6 +13,7 @@ from catalog.arrays import ByteArray, Float32Array
 from catalog.bodies.body import load_body
 from catalog.errors import DataError
 from catalog.files import check_file, make_prefix_test, replace_file
+from catalog.geometry.latlon import wrap_longitude_deg
 from catalog.places import check_apart
 from catalog.rasters import DESCRIPTION, encode_geotiff, is_described
 from catalog.tables import CsvTable
@@ -28,6 +29,7 @@ from catalog.terrain.slopes import (
 from optnav_cli.frames.tables import REASON, count, number
 from optnav_cli.hazard.ground_view import MIN_PAD_CELLS
 from optnav_cli.hazard.output import MAX_SLOPE_DEG, OUTSIDE_COLOUR, TEXT_COLOUR, map_colours
+from optnav_cli.hazard.pads import count_odd_cells
 from optnav_cli.hazard.settings import load_hazard_model
 from optnav_cli.output.canvas import Canvas, encode_picture
 from optnav_cli.output.wording import align_table
@@ -159,7 +161,7 @@ def find_flattest_pads(
     for band_row, top in enumerate(range(0, rows - high + 1, high)):
         row = np.array([top + high // 2])
         across, down = (float(size[0, cols // 2]) for size in measure_pixels(source, row))
-        pad = tuple(_count_pixels(search.pad_m, size) for size in (down, across))
+        pad = tuple(count_odd_cells(search.pad_m, size) for size in (down, across))
         wide = round(search.square_m / across)
         band = degrees[top : top + high]
         known = np.isfinite(band)
@@ -187,16 +189,10 @@ def find_flattest_pads(
             yield {
                 **square,
                 "lat_deg": float(np.degrees(lat)),
-                "lon_deg": (float(np.degrees(lon)) + 180.0) % 360.0 - 180.0,
+                "lon_deg": float(wrap_longitude_deg(np.degrees(lon))),
                 **dict(zip(("dangerous_share", "critical_share", "mean_slope_deg"), shares)),
                 "reason": "",
             }
-
-
-def _count_pixels(pad_m: float, size_m: float) -> int:
-    """Count the pixels of a pad's side: the least odd number that it fits into."""
-    pixels = int(np.ceil(pad_m / size_m - 1e-6))
-    return pixels + 1 - pixels % 2
 
 
 def _check_sizes(source: DemSource, search: PadSearch, pixel_m: list[float]) -> None:

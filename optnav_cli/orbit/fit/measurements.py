@@ -11,6 +11,7 @@ from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import ConfigError, DataError, UsageError
+from catalog.geometry.latlon import xyz_from_latlon
 from catalog.tables import CsvRow
 from optnav_cli.frames.orbit_tables import MEASUREMENTS
 from optnav_cli.orbit.fit.fit import OrbitFit
@@ -30,6 +31,7 @@ from optnav_cli.orbit.fit.tracking import (
     Passes,
     RangeRates,
     Ranges,
+    SignalSet,
     TrackingSet,
     find_body_turns,
 )
@@ -132,7 +134,7 @@ def read_measurements(
             )
         times, values, sigmas, lines = _columns(heights)
         sets.append(
-            Altitudes(times, values, sigmas, lines, find_body_turns(ephemeris, times), radii)
+            Altitudes(values, sigmas, lines, times, find_body_turns(ephemeris, times), radii)
         )
     return ReadMeasurements(path, sets, {row.line: row for row in rows}, names)
 
@@ -170,7 +172,7 @@ def _parse(row: CsvRow, names: Sequence[str], radii: tuple[float, float, float])
     xyz = np.zeros(3)
     if point is not None:
         lat, lon = np.radians(point[:2])
-        up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+        up = xyz_from_latlon(lat, lon, 1.0)
         squares = np.square(radii) * up  # the foot of a normal: a^2 n over its size in the axes
         xyz = squares / np.sqrt(squares @ up) + point[2] * up
     time = utc_to_tdb_s(row["utc"], "utc")
@@ -203,13 +205,13 @@ def _signal_sets(network: StationNetwork, rows: Sequence[Measurement]) -> Iterat
             )
             _check_seen(network, here, start)
             _check_seen(network, here, end)
-            yield RangeRates(values, sigmas, lines, counts, start, end, passes.part(chosen))
+            yield RangeRates(values, sigmas, lines, passes.part(chosen), counts, start, end)
         else:
             geometry = SignalGeometry(network, times, receiver, sender)
             _check_seen(network, here, geometry)
             if not network.at_home:
                 _check_units(here, geometry)
-            yield Ranges(values, sigmas, lines, geometry, passes.part(chosen))
+            yield Ranges(values, sigmas, lines, passes.part(chosen), geometry)
 
 
 def _passes(network: StationNetwork, rows: Sequence[Measurement]) -> Passes:
@@ -271,7 +273,7 @@ def _angles(rows: Sequence[Measurement], ephemeris: Ephemeris) -> Angles:
     axis = np.array([int(row.kind == DECLINATION) for row in rows])
     points = np.array([row.point_m for row in rows])
     turned = (points[:, None] @ find_body_turns(ephemeris, times))[:, 0]
-    return Angles(times, values, sigmas, lines, axis, turned)
+    return Angles(values, sigmas, lines, times, axis, turned)
 
 
 def with_considered_signals(
@@ -281,7 +283,7 @@ def with_considered_signals(
 
     Raises ConfigError for an ephemeris whose error is not known.
     """
-    if not any(isinstance(part, Ranges | RangeRates) for part in sets):
+    if not any(isinstance(part, SignalSet) for part in sets):
         return settings
     stated = {parameter.name for parameter in settings.parameter}
     added = []

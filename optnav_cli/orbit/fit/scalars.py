@@ -8,7 +8,7 @@ hold all that they say.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
@@ -19,8 +19,9 @@ from optnav_cli.orbit.fit.motion import ArcMotion
 from optnav_cli.orbit.fit.parameters import FitParameter
 
 
+@dataclass(frozen=True, eq=False)
 class ScalarSet(ABC):
-    """Measurements of one kind in the order of time, each of one number."""
+    """Measurements of one kind in the order of time, each of one number; fields of all (n, ...)."""
 
     @property
     @abstractmethod
@@ -60,9 +61,15 @@ class ScalarSet(ABC):
     def __len__(self) -> int:
         return len(self.values)
 
-    @abstractmethod
     def part(self, kept: BoolArray | IntArray) -> Self:
-        """Select some of them."""
+        """Select some of them; what is common to all of them stays."""
+        chosen = {part.name: getattr(self, part.name) for part in fields(self) if part.init}
+        for name, value in chosen.items():
+            if isinstance(value, np.ndarray):
+                chosen[name] = value[kept]
+            elif hasattr(value, "part"):
+                chosen[name] = value.part(kept)
+        return replace(self, **chosen)
 
     def cut(self, first_s: float, last_s: float) -> Self:
         """Select those whose states lie between two times, TDB s."""
@@ -73,7 +80,6 @@ class ScalarSet(ABC):
     def compute(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute the values (n,) of states (n, k, 6), and their derivatives (n, k, 6)."""
 
-    @abstractmethod
     def differentiate(
         self, parameter: FitParameter, states: FloatArray, by_states: FloatArray
     ) -> FloatArray | None:
@@ -81,6 +87,7 @@ class ScalarSet(ABC):
 
         states, by_states  (n, k, 6) as `compute` takes and returns them
         """
+        return None
 
 
 @dataclass(frozen=True, eq=False)

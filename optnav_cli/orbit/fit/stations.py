@@ -31,6 +31,8 @@ from catalog.bodies.rotation import (
 )
 from catalog.config import Positive, load_toml
 from catalog.errors import ConfigError
+from catalog.geometry.latlon import xyz_from_latlon
+from catalog.geometry.vectors import unit
 from catalog.terrain.dem.file import resolve_path
 
 LIGHT_M_S = 299792458.0
@@ -212,7 +214,7 @@ class StationNetwork:
         xyz = np.asarray(erfa.gd2gc(WGS84, lon, lat, heights))
         zero = np.zeros_like(lat)
         east = np.stack([-np.sin(lon), np.cos(lon), zero], axis=1)
-        up = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+        up = xyz_from_latlon(lat, lon, 1.0)
         return xyz, np.stack([east, np.cross(up, east), up], axis=1)
 
 
@@ -281,7 +283,7 @@ class SignalGeometry:
     def elevation_sines(self) -> FloatArray:
         """Sines (n, 2) of the elevations of the body's centre at the receiver and the sender."""
         ends = ((self._last, self._end), (self._first, self._start))
-        return np.stack([-(p.axes[:, 2] * _units(way)).sum(axis=1) for p, way in ends], axis=1)
+        return np.stack([-(p.axes[:, 2] * unit(way)).sum(axis=1) for p, way in ends], axis=1)
 
     def distances_m(self) -> FloatArray:
         """Half (n,) of the way from the senders over the body's centre to the receivers, m."""
@@ -315,7 +317,7 @@ class SignalGeometry:
         for _ in range(LIGHT_STEPS):
             up = craft - self._start - self._start_speed * late[:, None]
             late = sent_before + early - np.linalg.norm(up, axis=1) / LIGHT_M_S
-        down_unit, up_unit = _units(down), _units(up)
+        down_unit, up_unit = unit(down), unit(up)
         trip = LIGHT_M_S * (self.received_s - self.sent_s - late - self._clock_s)
         sines = np.stack(
             [
@@ -370,8 +372,3 @@ class SignalGeometry:
             ends = sum(np.linalg.norm(end - centre, axis=1) for end in (station, craft))
             total += 2.0 * gm / LIGHT_M_S**2 * np.log((ends + distance) / (ends - distance))
         return total
-
-
-def _units(vectors: FloatArray) -> FloatArray:
-    units: FloatArray = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return units

@@ -7,13 +7,13 @@ the direction from the craft to the body's centre or to a point of it, without a
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Self
 
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.geometry.ellipsoid import geodetic_from_xyz
+from catalog.geometry.latlon import xyz_from_latlon
 from optnav_cli.orbit.fit.parameters import FitParameter
 from optnav_cli.orbit.fit.scalars import ScalarSet
 from optnav_cli.orbit.fit.stations import SignalGeometry, SignalPaths, StationNetwork
@@ -81,39 +81,28 @@ class Passes:
         return None
 
 
-class TrackingSet(ScalarSet):
-    """Measurements of a file, whose lines (n,) they know."""
-
-    lines: IntArray
-
-
 @dataclass(frozen=True, eq=False)
-class Ranges(TrackingSet):
-    """Two- and three-way ranges: values and sigmas (n,), m; lines (n,) of their file."""
+class TrackingSet(ScalarSet):
+    """Measurements of a file: values and sigmas (n,) in the unit of their kind, lines (n,)."""
 
-    values_m: FloatArray
-    sigmas_m: FloatArray
+    numbers: FloatArray
+    number_sigmas: FloatArray
     lines: IntArray
-    geometry: SignalGeometry
-    passes: Passes
-    _memo: list[tuple[FloatArray, SignalPaths]] = field(default_factory=list, repr=False)
-
-    @property
-    def measured(self) -> str:
-        return "ranges"
 
     @property
     def values(self) -> FloatArray:
-        return self.values_m
+        return self.numbers
 
     @property
     def sigmas(self) -> FloatArray:
-        return self.sigmas_m
+        return self.number_sigmas
 
-    @property
-    def epochs(self) -> FloatArray:
-        times: FloatArray = self.geometry.bounced_s[:, None]
-        return times
+
+@dataclass(frozen=True, eq=False)
+class SignalSet(TrackingSet):
+    """Measurements of signals, with the stations and passes that they are of."""
+
+    passes: Passes
 
     @property
     def series(self) -> IntArray:
@@ -123,14 +112,35 @@ class Ranges(TrackingSet):
     def sizes(self) -> Mapping[str, int]:
         return self.passes.sizes
 
-    def part(self, kept: BoolArray | IntArray) -> Self:
-        return type(self)(
-            self.values_m[kept],
-            self.sigmas_m[kept],
-            self.lines[kept],
-            self.geometry.part(kept),
-            self.passes.part(kept),
-        )
+
+@dataclass(frozen=True, eq=False)
+class MomentSet(TrackingSet):
+    """Measurements each of the craft's state at its own time, tdb_s (n,)."""
+
+    tdb_s: FloatArray
+
+    @property
+    def epochs(self) -> FloatArray:
+        return self.tdb_s[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Ranges(SignalSet):
+    """Two- and three-way ranges, m."""
+
+    geometry: SignalGeometry
+    _memo: list[tuple[FloatArray, SignalPaths]] = field(
+        default_factory=list, init=False, repr=False
+    )
+
+    @property
+    def measured(self) -> str:
+        return "ranges"
+
+    @property
+    def epochs(self) -> FloatArray:
+        times: FloatArray = self.geometry.bounced_s[:, None]
+        return times
 
     def _follow(self, states: FloatArray) -> SignalPaths:
         if not self._memo or self._memo[0][0] is not states:
@@ -150,21 +160,17 @@ class Ranges(TrackingSet):
 
 
 @dataclass(frozen=True, eq=False)
-class RangeRates(TrackingSet):
-    """Mean range rates over counts: values and sigmas (n,), m/s; counts (n,), s.
+class RangeRates(SignalSet):
+    """Mean range rates, m/s, over counts (n,), s.
 
     starts, ends  the signals received when the counts start and end
     """
 
-    values_m_s: FloatArray
-    sigmas_m_s: FloatArray
-    lines: IntArray
     counts_s: FloatArray
     starts: SignalGeometry
     ends: SignalGeometry
-    passes: Passes
     _memo: list[tuple[FloatArray, SignalPaths, SignalPaths]] = field(
-        default_factory=list, repr=False
+        default_factory=list, init=False, repr=False
     )
 
     @property
@@ -172,39 +178,12 @@ class RangeRates(TrackingSet):
         return "range rates"
 
     @property
-    def values(self) -> FloatArray:
-        return self.values_m_s
-
-    @property
-    def sigmas(self) -> FloatArray:
-        return self.sigmas_m_s
-
-    @property
     def epochs(self) -> FloatArray:
         return np.stack([self.starts.bounced_s, self.ends.bounced_s], axis=1)
 
     @property
-    def series(self) -> IntArray:
-        return self.passes.receiver
-
-    @property
-    def sizes(self) -> Mapping[str, int]:
-        return self.passes.sizes
-
-    @property
     def node_step_s(self) -> float:
         return NODE_STEP_S
-
-    def part(self, kept: BoolArray | IntArray) -> Self:
-        return type(self)(
-            self.values_m_s[kept],
-            self.sigmas_m_s[kept],
-            self.lines[kept],
-            self.counts_s[kept],
-            self.starts.part(kept),
-            self.ends.part(kept),
-            self.passes.part(kept),
-        )
 
     def _follow(self, states: FloatArray) -> tuple[SignalPaths, SignalPaths]:
         if not self._memo or self._memo[0][0] is not states:
@@ -233,17 +212,13 @@ class RangeRates(TrackingSet):
 
 
 @dataclass(frozen=True, eq=False)
-class Angles(TrackingSet):
-    """Right ascensions and declinations of points: values and sigmas (n,), deg.
+class Angles(MomentSet):
+    """Right ascensions and declinations of points, deg.
 
     axis      (n,) 0: right ascension, 1: declination
     points_m  (n, 3) inertial, from the body's centre
     """
 
-    tdb_s: FloatArray
-    values_deg: FloatArray
-    sigmas_deg: FloatArray
-    lines: IntArray
     axis: IntArray
     points_m: FloatArray
 
@@ -252,30 +227,8 @@ class Angles(TrackingSet):
         return "angles"
 
     @property
-    def values(self) -> FloatArray:
-        return self.values_deg
-
-    @property
-    def sigmas(self) -> FloatArray:
-        return self.sigmas_deg
-
-    @property
-    def epochs(self) -> FloatArray:
-        return self.tdb_s[:, None]
-
-    @property
     def series(self) -> IntArray:
         return self.axis
-
-    def part(self, kept: BoolArray | IntArray) -> Self:
-        return type(self)(
-            self.tdb_s[kept],
-            self.values_deg[kept],
-            self.sigmas_deg[kept],
-            self.lines[kept],
-            self.axis[kept],
-            self.points_m[kept],
-        )
 
     def compute(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, y, z = (self.points_m - states[:, 0, :3]).T
@@ -284,30 +237,21 @@ class Angles(TrackingSet):
         right = self.axis == 0
         angles = np.degrees(np.where(right, np.arctan2(y, x), np.arctan2(z, level)))
         # the turn nearest to the measured one
-        angles += np.where(right, 360.0 * np.round((self.values_deg - angles) / 360.0), 0.0)
+        angles += np.where(right, 360.0 * np.round((self.values - angles) / 360.0), 0.0)
         by_right = np.stack([y, -x, 0.0 * z], axis=1) / flat[:, None]
         by_up = np.stack([z * x / level, z * y / level, -level], axis=1) / square[:, None]
         by_states = np.zeros((len(self), 1, 6))
         by_states[:, 0, :3] = np.degrees(np.where(right[:, None], by_right, by_up))
         return angles, by_states
 
-    def differentiate(
-        self, parameter: FitParameter, states: FloatArray, by_states: FloatArray
-    ) -> FloatArray | None:
-        return None
-
 
 @dataclass(frozen=True, eq=False)
-class Altitudes(TrackingSet):
-    """Heights over the body's ellipsoid along its normal: values and sigmas (n,), m.
+class Altitudes(MomentSet):
+    """Heights over the body's ellipsoid along its normal, m.
 
     turns  (n, 3, 3) body frame from inertial
     """
 
-    tdb_s: FloatArray
-    values_m: FloatArray
-    sigmas_m: FloatArray
-    lines: IntArray
     turns: FloatArray
     radii_m: tuple[float, float, float]
 
@@ -316,43 +260,16 @@ class Altitudes(TrackingSet):
         return "altimeter heights"
 
     @property
-    def values(self) -> FloatArray:
-        return self.values_m
-
-    @property
-    def sigmas(self) -> FloatArray:
-        return self.sigmas_m
-
-    @property
-    def epochs(self) -> FloatArray:
-        return self.tdb_s[:, None]
-
-    @property
     def series(self) -> IntArray:
         return np.zeros(len(self), np.int64)
-
-    def part(self, kept: BoolArray | IntArray) -> Self:
-        return type(self)(
-            self.tdb_s[kept],
-            self.values_m[kept],
-            self.sigmas_m[kept],
-            self.lines[kept],
-            self.turns[kept],
-            self.radii_m,
-        )
 
     def compute(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
         fixed = (self.turns @ states[:, 0, :3, None])[:, :, 0]
         lat, lon, height = geodetic_from_xyz(fixed, self.radii_m)
-        up = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+        up = xyz_from_latlon(lat, lon, 1.0)
         by_states = np.zeros((len(self), 1, 6))
         by_states[:, 0, :3] = (up[:, None] @ self.turns)[:, 0]
         return height, by_states
-
-    def differentiate(
-        self, parameter: FitParameter, states: FloatArray, by_states: FloatArray
-    ) -> FloatArray | None:
-        return None
 
 
 def find_body_turns(ephemeris: Ephemeris, tdb_s: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from catalog.arrays import BoolArray, FloatArray, IntArray
+from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.stars import load_bright_stars
 from catalog.errors import DataError
@@ -53,17 +53,6 @@ class ZenithSights(ScalarSet):
 
     def __len__(self) -> int:
         return len(self.tdb_s)
-
-    def part(self, kept: BoolArray | IntArray) -> "ZenithSights":
-        """Some of them, with all names."""
-        return ZenithSights(
-            self.tdb_s[kept],
-            self.directions[kept],
-            self.values_rad[kept],
-            self.sigmas_rad[kept],
-            self.star_of[kept],
-            self.names,
-        )
 
     @property
     def measured(self) -> str:

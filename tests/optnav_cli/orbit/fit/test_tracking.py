@@ -102,9 +102,9 @@ def sets_of(network, state, rng=None, days=DAYS):
     values = geometry.follow(states_at(geometry, state)).lengths_m
     start, end = (part.follow(states_at(part, state)).lengths_m for part in ends)
     ones = np.ones(count)
-    ranges = Ranges(values, RANGE_M * ones, lines, geometry, passes)
+    ranges = Ranges(values, RANGE_M * ones, lines, passes, geometry)
     rates = (end - start) / COUNT_S
-    doppler = RangeRates(rates, RATE_M_S * ones, lines, COUNT_S * ones, *ends, passes)
+    doppler = RangeRates(rates, RATE_M_S * ones, lines, passes, COUNT_S * ones, *ends)
     if rng is None:
         return ranges, doppler
     problem = problem_of([ranges, doppler], state)
@@ -116,8 +116,8 @@ def sets_of(network, state, rng=None, days=DAYS):
     )
     drawn = drawn + rows.design[:, 6:] @ (BIAS_M * rng.normal(size=problem.width - 6))
     drawn = drawn + problem.scalars.sigmas * rng.normal(size=2 * count)
-    ranges.values_m[:] += drawn[:count]
-    doppler.values_m_s[:] += drawn[count:]
+    ranges.values[:] += drawn[:count]
+    doppler.values[:] += drawn[count:]
     return ranges, doppler
 
 
@@ -255,8 +255,8 @@ def test_with_fixes_the_orbit_is_better_than_by_either(network):
 
 def test_a_blunder_among_ranges_and_one_among_rates_are_left_out(network):
     sets = sets_of(network, first_state(), np.random.default_rng(3))
-    sets[0].values_m[7] += 200.0
-    sets[1].values_m_s[11] -= 0.05
+    sets[0].values[7] += 200.0
+    sets[1].values[11] -= 0.05
     fit, _ = flown_fit(network, 3, (), sets)
     assert np.flatnonzero(~fit.is_used).tolist() == [7, len(sets[0]) + 11]
 
@@ -282,7 +282,7 @@ def rows_of(network, state):
         station = STATIONS[ranges.passes.receiver[k]].name
         utc = utc_from_tdb_s(float(ranges.geometry.received_s[k]))
         row = {"utc": utc, "station": station}
-        value, rate = float(ranges.values_m[k]), float(doppler.values_m_s[k])
+        value, rate = float(ranges.values[k]), float(doppler.values[k])
         rows.append({**row, "kind": "two_way_range_m", "value": value, "sigma": 5.0})
         rows.append(
             {**row, "kind": "range_rate_m_s", "value": rate, "sigma": RATE_M_S, "count_s": 60.0}
